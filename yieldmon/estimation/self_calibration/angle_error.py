@@ -1,8 +1,8 @@
-"""The relative error of a model's force over the plate's angle, as one random quantity: its mean squares and products at nodes.
+"""Relative error of a model's force as a random function of the plate angle, given by its second moments at nodes.
 
-One cause that the model lacks changes the force at all angles together, so that errors at two angles are of one draw. What many
-seconds at several angles add up to then has the standard deviation of the sum, with its signs, and not that of errors which are
-independent of each other.
+A cause that is missing in the model changes the force at all angles together, so errors at different angles are correlated. The
+standard deviation of a sum over seconds at several angles follows from the signed sum of these errors, and not from the sum of
+independent ones.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 NODES_RAD = np.radians(np.arange(20.0, 111.0, 10.0))
-"""Between them the error is taken to be straight over the angle, beyond them as at the last."""
+"""Angles of the nodes. The error is linear between them, and constant beyond the outer ones."""
 _FIRST_RAD, _STEP_RAD = float(NODES_RAD[0]), float(NODES_RAD[1] - NODES_RAD[0])
 
 
 def node_shares(plate_angle_rad: float) -> tuple[int, float]:
-    """Of the nodes on both sides of an angle the first one's number, and the share of the second one.
+    """Nodes for linear interpolation at an angle.
 
     Parameters
     ----------
@@ -32,8 +32,9 @@ def node_shares(plate_angle_rad: float) -> tuple[int, float]:
     Returns
     -------
     first : int
+        Index of the node below.
     share : float
-        0 to 1.
+        Weight of the node above, 0 to 1.
     """
     place = min(max((plate_angle_rad - _FIRST_RAD) / _STEP_RAD, 0.0), NODES_RAD.size - 1.0)
     first = min(int(place), NODES_RAD.size - 2)
@@ -49,12 +50,12 @@ class AngleError:
     home : float
         Standard deviation at the home angle.
     moments : tuple of tuple of float
-        Mean products of the errors at the nodes, (nodes, nodes), once `away` is taken off; () where there is no error.
+        Mean products of the errors at the nodes, (nodes, nodes), after correction by `away`; () if there is no error.
     away : tuple of float
-        ln of the model's force over the measured one at the nodes against that at home, (nodes,), where it is known well enough
-        to be taken off the flow; () where it is not. 0 at home.
+        Correction of the flow away from home: ln(model force / measured force) at the nodes relative to home, (nodes,), 0 at
+        home. () if it is not known well enough.
     expected : tuple of float
-        Mean of the error that is left then, (nodes,); () where it is 0.
+        Mean of the error after this correction, (nodes,); () if it is 0.
     """
 
     home: float = 0.0
@@ -64,21 +65,20 @@ class AngleError:
 
     @classmethod
     def of(cls, moments: Array, home_rad: float, away: Array | None = None, expected: Array | None = None) -> AngleError:
-        """From mean products at the nodes, (nodes, nodes), the angle at home, rad, what is to be taken off, (nodes,), and the
-        mean of what is left then."""
+        """Build it from `moments`, `away` and `expected` at the nodes, as arrays, and the home angle, rad."""
         found = cls(0.0, tuple(map(tuple, moments.tolist())))
         taken, left = (() if values is None else tuple(values.tolist()) for values in (away, expected))
         return cls(found.at(home_rad), found.moments, taken, left)
 
     def away_at(self, plate_angle_rad: float) -> float:
-        """Of `away` at an angle, rad; not known: 0."""
+        """`away` at an angle, rad; 0 if it is not known."""
         if not self.away or not isfinite(plate_angle_rad):
             return 0.0
         first, share = node_shares(plate_angle_rad)
         return (1.0 - share) * self.away[first] + share * self.away[first + 1]
 
     def at(self, plate_angle_rad: float) -> float:
-        """Standard deviation at an angle, rad; not known: as at home."""
+        """Standard deviation at an angle, rad; that at home if the angle or the moments are not known."""
         if not self.moments or not isfinite(plate_angle_rad):
             return self.home
         k, share = node_shares(plate_angle_rad)
@@ -86,7 +86,7 @@ class AngleError:
         return sqrt(max((1.0 - share) ** 2 * a + share**2 * b + 2.0 * share * (1.0 - share) * both, 0.0))
 
     def of_sum(self, at_nodes: Sequence[float], left: float = 0.0) -> float:
-        """Standard deviation of a sum of errors at the nodes, each times a number (nodes,), beside a known error that is left."""
+        """Standard deviation of a sum of errors at the nodes with weights at_nodes, (nodes,), plus a known error `left`."""
         if not self.moments:
             return abs(left)
         row = np.array(at_nodes)
@@ -94,8 +94,10 @@ class AngleError:
         return sqrt(max(float(row @ self._matrix @ row) + left * (left + 2.0 * expected), 0.0))
 
     def with_home(self, home: float, home_rad: float) -> AngleError:
-        """The same where the error at home, rad, is known to have another standard deviation, at most its own; the differences
-        between the angles stay."""
+        """The error with a smaller standard deviation at home; differences between angles stay the same.
+
+        home: the new standard deviation; a larger one than the present one is ignored. home_rad: the home angle, rad.
+        """
         if not self.moments or home >= self.home:
             return self
         first, share = node_shares(home_rad)

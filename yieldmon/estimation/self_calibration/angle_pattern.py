@@ -1,9 +1,9 @@
-"""What sweeps repeat and no parameter explains: the model's own error over plate angle and fill, as a state of its own.
+"""The model's own error over plate angle and fill as an estimated state.
 
-A sweep taken at its word turns a model's error at 40 degrees into a friction. Here the error is the weights of the effect
-`angle_pattern`, with a prior beside the parameters' and a covariance that goes on from sweep to sweep: what is the same in all
-sweeps goes to the pattern, what changes between them to the grain. The pattern is 0 at the home angle at every fill, so that it
-is orthogonal to all that a calibration at home absorbs.
+If the model were assumed exact, a sweep would turn its error at 40 degrees into a wrong friction. Here the error is described by
+the weights of the effect `angle_pattern`, which have their own prior and a covariance that is kept from sweep to sweep. What is
+the same in all sweeps is attributed to the pattern, and what changes between them to the grain. The pattern is 0 at the home
+angle at every fill, so that it cannot absorb what a calibration at home determines.
 
 Sources: Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001); Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014), on why such a
 term needs a prior.
@@ -22,7 +22,7 @@ from yieldmon.physics.effects import angle_pattern
 EFFECT = angle_pattern.EFFECT.name
 NAMES = tuple(f"{EFFECT}.{parameter.name}" for parameter in angle_pattern.EFFECT.parameters)
 _CALIBRATED = 2.0
-"""The pattern beyond the calibrated angles, over the model's error within them."""
+"""Ratio of the pattern's size beyond the calibrated angles to the model's error within them."""
 
 
 def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
@@ -31,7 +31,7 @@ def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
     Parameters
     ----------
     parameters : ParameterSet
-        Its `model_error`, estimated from held-out angles and loads, makes the pattern larger where it is.
+        The pattern's prior is wider if its `model_error`, estimated from held-out angles and loads, is large.
     relative_sd : float
         Standard deviation of the relative error 25 degrees from home; at least `model_error.FLOOR`.
 
@@ -55,7 +55,7 @@ def with_pattern(parameters: ParameterSet, relative_sd: float) -> ParameterSet:
 
 
 def without_pattern(parameters: ParameterSet) -> ParameterSet:
-    """The set as the named physics alone has it."""
+    """The set without the pattern."""
     if EFFECT not in parameters.effects:
         return parameters
     kept = tuple(name for name in parameters.covariance_names if name not in NAMES)

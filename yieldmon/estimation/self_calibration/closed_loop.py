@@ -1,8 +1,9 @@
-"""Closed loop: flow and parameters together from sweeps of the plate, with all that was known before.
+"""Closed loop: joint estimation of flows and parameters from sweeps of the plate and a prior.
 
-A sweep leaves the scale (mass flow, density, impact gain) -> (a, a, 1/a) exactly unobservable, so the estimate is a maximum a
-posteriori with the prior's full covariance, and what a sweep did not determine stays as it was. Shared parameters, one free flow
-a sweep; weighed masses and a known density join as further measurements. Posterior by Laplace's approximation.
+The scale (mass flow, density, impact gain) -> (a, a, 1/a) is exactly unobservable in a sweep. The estimate is therefore a maximum
+a posteriori with the prior's full covariance, and what a sweep does not determine stays at the prior. The parameters are common
+to all sweeps, and each sweep has a flow of its own. Weighed masses and a measured density are used as further measurements. The
+posterior is Laplace's approximation.
 
 Sources: thesis section 9.3 for the idea of the sweep; Gelman et al., "Bayesian Data Analysis" (normal approximation of the
 posterior).
@@ -38,10 +39,10 @@ from .steady_drift import widened
 
 _WIDENINGS = 4
 _ALL = 1e-9
-"""Least information of a weighed mass for an update: practically any."""
+"""Least information of a weighed mass for an update; so small that any mass is used."""
 _NARROWED = 0.995
 _LARGEST_MODEL_ERROR, _HALVINGS = 0.5, 12
-"""Largest relative model error tried where windows disagree with the model, and number of bisections of its range."""
+"""Largest relative model error tried if windows disagree with the model, and number of bisections of its range."""
 
 
 def self_calibrate(
@@ -60,7 +61,7 @@ def self_calibrate(
     ----------
     model : ForwardModel
     prior : ParameterSet
-        Prior parameters; those with a variance are updated.
+        Parameters with a variance are updated.
     sweeps : sequence of Sweep
     masses : sequence of WeighedMass
         Weighed masses.
@@ -74,15 +75,15 @@ def self_calibrate(
     -------
     Outcome
         `parameter_set` is the one to use from now on; `flows`, `parameters`, `scale` and `reason` give the result. The whole
-        update is refused when the misfit is too large, or when sweeps alone would put a parameter at an end of the range in which
-        grain lies; directions that the data hardly determine are not updated: see `ClosedLoopSettings.learned_information` and
-        `kept_ratio`. The model's error is at least that of the prior.
+        update is refused if the misfit is too large, or if sweeps alone would move a parameter to an end of the range of grain.
+        Directions that the data hardly determine are not updated: see `ClosedLoopSettings.learned_information` and `kept_ratio`.
+        The model error used is at least that of the prior.
 
     Raises
     ------
     ValueError
-        When there is nothing to go by, the prior has no covariance, no flow can explain a sweep, an angle or a speed is outside
-        its range (`Conditions`), or a weighed mass or the density is not usable.
+        If there is no measurement, the prior has no covariance, no flow can explain a sweep, an angle or a speed is outside its
+        range (`Conditions`), or a weighed mass or the density is not usable.
 
     References
     ----------
@@ -117,7 +118,7 @@ def self_calibrate(
 
 
 def _not_determined(found: Outcome, prior: ParameterSet, ends: Sequence[str]) -> Outcome:
-    """Refuse an update that ends at the limit of the search: such a value comes from the limit, and the others depend on it."""
+    """Refuse an update that ends at a limit of the search, since that value and the others then depend on the limit."""
     values = found.parameter_set.values
     at = " and ".join(f"{name} to {values[name]:.4g} {GRAIN[name].unit}".rstrip() + _range(name) for name in ends)
     return replace(
@@ -136,7 +137,7 @@ def _range(name: str) -> str:
 
 
 def _with_difference(flow: FlowPosterior, other: FlowPosterior) -> FlowPosterior:
-    """A flow with the standard deviation of another estimate of it, widened by their difference, as either may be right."""
+    """A flow with the standard deviation of another estimate, widened by their difference, since either may be right."""
     difference = float(np.log(flow.mass_flow_kg_s / other.mass_flow_kg_s))
     return replace(flow, log_sd=float(np.hypot(other.log_sd, difference)))
 
@@ -150,7 +151,7 @@ def fit_parameters(
     density: MeasuredDensity | None = None,
     settings: ClosedLoopSettings,
 ) -> Outcome:
-    """`self_calibrate` for the parameters alone, in one fit: the deviations of the flows do not allow for windows that disagree.
+    """`self_calibrate` in one fit. The flows' standard deviations are too small if windows disagree with the model.
 
     Parameters
     ----------
@@ -181,10 +182,26 @@ def update_from_tickets(
     density: MeasuredDensity | None = None,
     settings: ClosedLoopSettings | None = None,
 ) -> Outcome:
-    """`self_calibrate` from weighed masses alone. A scale counts: where it contradicts the parameters, they were less
-    certain than they claimed, and their standard deviations are doubled until both agree, up to 16 times and no further than
-    half of a parameter's physical range. A weighed mass is used however little information it adds: unlike a sweep it has no
-    systematic error that repeats. Raises as `self_calibrate`.
+    """`self_calibrate` from weighed masses alone.
+
+    If the weighed masses contradict the parameters, the parameters' standard deviations are doubled until both agree, up to 16
+    times and at most to half of a parameter's physical range. A weighed mass is used however little information it adds, since
+    unlike a sweep it has no systematic error that repeats.
+
+    Parameters
+    ----------
+    model, prior, masses, density, settings
+        As in `self_calibrate`.
+
+    Returns
+    -------
+    Outcome
+        `prior_widening` is the factor on the prior's covariance.
+
+    Raises
+    ------
+    ValueError
+        As `self_calibrate`.
     """
     widening = 1.0
     settings = replace(ClosedLoopSettings() if settings is None else settings, learned_information=_ALL, kept_ratio=1.0 - _ALL)
@@ -199,14 +216,14 @@ def update_from_tickets(
 
 
 def _beyond_physics(wide: ParameterSet) -> bool:
-    """Whether a standard deviation is more than half of the range in which its parameter of the grain lies at all."""
+    """Whether a standard deviation exceeds half of the range in which its parameter can lie."""
     ranges = {n: GRAIN[n].search for n in wide.covariance_names if n in GRAIN and not GRAIN[n].follows_response}
     return any(wide.standard_deviation(name) > 0.5 * (high - low) for name, (low, high) in ranges.items())
 
 
 def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     """The outcome of a solved problem."""
-    from scipy.special import chdtrc  # a quarter of a second that commands without a sweep do without
+    from scipy.special import chdtrc  # slow to import: not needed by commands without a sweep
 
     width, settings = len(problem.names), problem.settings
     theta, residual = solution.unknown[:width], solution.residual
@@ -243,7 +260,7 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
 def _parameter_updates(
     problem: ClosedLoopProblem, mean: Array, covariance: Array, consistent: bool
 ) -> tuple[ParameterUpdate, ...]:
-    """Prior and posterior of each parameter; the prior for both where the data contradict the model."""
+    """Prior and posterior of each parameter; the posterior equals the prior if the data contradict the model."""
     prior, prior_sds = problem.prior.mean, problem.prior.standard_deviation
     sds = np.sqrt(np.diag(covariance))
     return tuple(
@@ -271,7 +288,7 @@ def _updated(problem: ClosedLoopProblem, mean: Array, covariance: Array) -> Para
 
 
 def _sweep_residuals(problem: ClosedLoopProblem, solution: Solution) -> tuple[Array, ...]:
-    """Of each sweep, N: measured less predicted force."""
+    """Measured less predicted force of each sweep, N."""
     missed = problem.model_errors_n(solution.unknown)
     return tuple(
         np.asarray(missed[rows] - np.linalg.solve(whitener, solution.residual[rows]))
@@ -280,7 +297,7 @@ def _sweep_residuals(problem: ClosedLoopProblem, solution: Solution) -> tuple[Ar
 
 
 def _data_information(problem: ClosedLoopProblem, jacobian: Array) -> Array:
-    """Information on the parameters from everything but the prior, the flows projected out."""
+    """Information of all data except the prior on the parameters, with the flows eliminated, (n, n)."""
     windows, width = problem.windows, len(problem.names)
     data = np.delete(jacobian, slice(windows, windows + width), axis=0)
     full = data.T @ data
@@ -296,7 +313,7 @@ def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
     theta, posterior = solution.unknown[:width], solution.covariance[:width, :width]
     values = {n: float(v) for n, v in zip(problem.names, theta, strict=True)} | problem.fixed
     tangent = np.array([scale_tangent(n, values[n]) for n in problem.names])
-    # ln a along the direction: the component of the change in the metric of the prior.
+    # ln a is the component of the change along the scale direction, in the metric of the prior.
     metric = problem.white.T @ problem.white
     size = float(tangent @ metric @ tangent)
     if size <= 0.0:
@@ -311,7 +328,7 @@ def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
 
 
 def _null_directions(problem: ClosedLoopProblem, jacobian: Array, values: Mapping[str, float]) -> tuple[Direction, ...]:
-    """Directions of flows and parameters that the sweeps alone leave free."""
+    """Directions of flows and parameters that the sweeps alone do not determine."""
     if not problem.sweeps:
         return ()
     count, width = len(problem.sweeps), len(problem.names)
@@ -330,7 +347,7 @@ def _flows(problem: ClosedLoopProblem, solution: Solution) -> tuple[FlowPosterio
         gradient[width + i] = 1.0
         extra = 0.0
         if problem.settings.flow == "process":
-            # The process given the residuals; it moves against the level, so both count together.
+            # The mean of the process, given the residuals. It is correlated with the level, so both are added.
             covariance = problem.flow_covariances[i]
             gain = solution.whiteners[i] @ (problem.elastic(unknown)[rows, None] * covariance)
             level -= float((gain.T @ solution.residual[rows]).mean())

@@ -1,4 +1,4 @@
-"""Data of the closed loop: sweeps of the plate, weighed masses, an independent density."""
+"""Measurements for the closed loop: sweeps of the plate, weighed masses, an independent density."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from yieldmon.physics.model import Conditions, ForwardModel, refuse_impossible
 from yieldmon.physics.numerics import Array
 
 _LEAST_NOISE = 1e-9
-"""Of the largest force; what is surer drowns all else in rounding."""
+"""Least standard deviation relative to the largest force; smaller ones cause rounding errors in all else."""
 _SWEEP = ("time_s", "plate_angle_rad", "elevator_speed_rad_s", "force_n", "force_std_dev_n")
 SWEEP_COLUMNS = (*_SWEEP, "moisture_pct")
-"""Columns of a sweep's windows, also those that may be missing."""
+"""Columns of a sweep's windows, including the optional ones."""
 WEIGHED_COLUMNS = ("duration_s", "force_n", "plate_angle_rad", "elevator_speed_rad_s")
 """Columns of the windows of a weighed mass or load."""
 
@@ -62,7 +62,7 @@ class Sweep:
     Raises
     ------
     ValueError
-        For shapes that differ, values that are not finite, or standard deviations that are 0, or next to it beside the forces.
+        For shapes that differ, values that are not finite, or standard deviations that are 0 or negligible against the forces.
 
     Examples
     --------
@@ -97,13 +97,13 @@ class WeighedMass:
     reference_kg, std_dev_kg : float
         Weighed mass and its standard deviation, kg.
     duration_s : array_like
-        (n,) of each window, s.
+        (n,) duration of each window, s.
     force_n, plate_angle_rad, elevator_speed_rad_s : array_like
         (n,) N, rad, rad/s.
     moisture_pct : array_like, optional
         (n,) %, where an effect needs it.
     common_kg : float
-        The part of std_dev_kg by another combine's monitor, the same error in all masses that have one, kg.
+        The part of std_dev_kg that comes from another combine's monitor, kg. Its error is the same in all masses.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class WeighedMass:
         _as_arrays(self, WEIGHED_COLUMNS)
 
     def require_usable(self) -> None:
-        """Refuse data that determine nothing.
+        """Raise an error if the data are not usable.
 
         Raises
         ------
@@ -154,14 +154,14 @@ class WeighedMass:
         common_kg: float = 0.0,
         groups: int = 12,
     ) -> WeighedMass:
-        """Many windows condensed: at each plate angle, windows of like force are replaced by their mean.
+        """Build it from many windows: at each plate angle, windows of similar force are replaced by their mean.
 
         Parameters
         ----------
         reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct, common_kg
             As in `WeighedMass`.
         groups : int
-            Most groups at each plate angle.
+            Largest number of groups at each plate angle.
 
         Returns
         -------
@@ -202,19 +202,19 @@ class WeighedMass:
         plate_angle_rad: float,
         elevator_speed_rad_s: float,
     ) -> WeighedMass:
-        """From a measured total alone.
+        """Build it from a measured total alone.
 
         Parameters
         ----------
         reference_kg, std_dev_kg : float
             Weighed mass and its standard deviation, kg.
         measured_kg : float
-            What was measured, kg.
+            Measured mass, kg.
         model : ForwardModel
         parameters : ParameterSet
-            With which it was measured.
+            Parameters with which it was measured.
         mass_flow_kg_s, plate_angle_rad, elevator_speed_rad_s : float
-            At about which it was measured, kg/s, rad, rad/s.
+            Approximate conditions of the measurement, kg/s, rad, rad/s.
 
         Returns
         -------
@@ -239,7 +239,7 @@ class MeasuredDensity:
     Parameters
     ----------
     density_kg_m3, std_dev_kg_m3 : float
-        In the terms of the parameter `density`, and its standard deviation, kg/m3; both above 0.
+        Value of the parameter `density` and its standard deviation, kg/m3; both above 0.
 
     Examples
     --------
@@ -251,7 +251,7 @@ class MeasuredDensity:
     std_dev_kg_m3: float
 
     def require_usable(self) -> None:
-        """Refuse data that determine nothing.
+        """Raise an error if the data are not usable.
 
         Raises
         ------
@@ -266,7 +266,7 @@ class MeasuredDensity:
     def from_test_weight(
         cls, test_weight_kg_m3: float, std_dev_kg_m3: float, ratio: float, ratio_std_dev: float
     ) -> MeasuredDensity:
-        """From a test weight. The fitted density is no test weight: it stands for the heap on a paddle.
+        """Build it from a test weight. The fitted density differs from it, since it is that of the heap on a paddle.
 
         Parameters
         ----------

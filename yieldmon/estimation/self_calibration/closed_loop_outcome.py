@@ -1,4 +1,4 @@
-"""What the closed loop found: flows of the sweeps, what became of each parameter, and of the scale that no sweep determines."""
+"""Result of the closed loop: flows of the sweeps, updates of the parameters, and the scale, which no sweep determines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yieldmon.physics.numerics import Array
 
 @dataclass(frozen=True, slots=True)
 class FlowPosterior:
-    """Mean mass flow of one sweep, kg/s; log_sd: standard deviation of its logarithm, parameters' uncertainty included."""
+    """Mean mass flow of one sweep, kg/s. log_sd: standard deviation of its logarithm, including the parameters' uncertainty."""
 
     mass_flow_kg_s: float
     log_sd: float
@@ -24,7 +24,7 @@ class FlowPosterior:
         return self.mass_flow_kg_s * self.log_sd
 
     def interval(self, level: float = 0.9) -> tuple[float, float]:
-        """Central interval, kg/s; to inf where nothing is known of the flow."""
+        """Central interval, kg/s; its upper end is inf if nothing is known of the flow."""
         from scipy.special import ndtri
 
         reach = float(ndtri(0.5 + 0.5 * level)) * self.log_sd
@@ -34,7 +34,7 @@ class FlowPosterior:
 
 @dataclass(frozen=True, slots=True)
 class ParameterUpdate:
-    """Prior and posterior of one parameter. learned: whether value and variance were updated."""
+    """Prior and posterior of one parameter, with standard deviations. learned: whether value and variance were updated."""
 
     name: str
     prior: float
@@ -60,8 +60,16 @@ class ParameterUpdate:
 class ScaleReport:
     """The direction (mass flow, density, impact gain) -> (a, a, 1/a).
 
-    prior_sd, posterior_sd of ln a; shift: ln a from the prior to the answer. observable: whether something other than the prior
-    (a weighed mass, an effect that breaks the symmetry) speaks of it.
+    Attributes
+    ----------
+    prior_sd, posterior_sd : float
+        Standard deviation of ln a.
+    shift : float
+        ln a from the prior to the result.
+    observable : bool
+        Whether something other than the prior determines it: a weighed mass, or an effect that breaks the symmetry.
+    unobservable_directions : tuple of Direction
+        Directions that the sweeps alone do not determine, found numerically.
     """
 
     prior_sd: float
@@ -69,16 +77,15 @@ class ScaleReport:
     shift: float
     observable: bool
     unobservable_directions: tuple[Direction, ...]
-    """Found numerically from the sweeps alone, whatever they may be."""
 
     @property
     def ratio(self) -> float:
-        """Posterior over prior width."""
+        """Posterior over prior standard deviation; nan if the latter is 0."""
         return self.posterior_sd / self.prior_sd if self.prior_sd > 0.0 else float("nan")
 
 
 NO_SCALE = ScaleReport(0.0, 0.0, 0.0, observable=False, unobservable_directions=())
-"""Where the scale cannot be judged."""
+"""Result if the scale cannot be judged."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,7 @@ class Outcome:
     Parameters
     ----------
     parameter_set : ParameterSet
-        The one to use from now on; the prior's own where updated is False.
+        The one to use from now on; the prior's own if `updated` is False.
     updated : bool
     consistent : bool
         Whether the misfit is no more than noise and model error explain; if not, nothing is updated.
@@ -97,8 +104,9 @@ class Outcome:
     region : str
         Where the sweeps' misfit is largest.
     flows : tuple of FlowPosterior
-        Mean mass flow of each sweep, kg/s, with its deviation; where it is not consistent, that which as large an error of the
-        model as makes it so, one draw an angle, leaves and moves it by.
+        Mean mass flow of each sweep, kg/s, with its standard deviation. If the sweeps are not consistent, the standard deviation
+        is computed with a model error large enough to explain the misfit, independent at each angle, and widened by the change of
+        the flow that this error causes.
     parameters : tuple of ParameterUpdate
         Prior and posterior of each parameter that was updated.
     scale : ScaleReport
@@ -106,9 +114,9 @@ class Outcome:
     chi2, dof, p_value : float, int, float
         Misfit, its degrees of freedom, and the probability of so large a misfit by chance.
     residuals : tuple of ndarray
-        Of each sweep, N: measured less predicted force, in the order of its windows.
+        Measured less predicted force of each sweep's windows, N.
     prior_widening : float
-        What `update_from_tickets` multiplied the prior's covariance by before it agreed with the weighed masses.
+        Factor by which `update_from_tickets` multiplied the prior's covariance until it agreed with the weighed masses.
 
     Examples
     --------
@@ -131,7 +139,7 @@ class Outcome:
 
     @classmethod
     def unchanged(cls, parameter_set: ParameterSet) -> Outcome:
-        """Where no measurement came.
+        """The outcome without any measurement.
 
         Parameters
         ----------
@@ -140,7 +148,7 @@ class Outcome:
         Returns
         -------
         Outcome
-            That nothing is updated.
+            With nothing updated.
         """
         return cls(
             parameter_set,
@@ -158,7 +166,7 @@ class Outcome:
         )
 
     def learned(self) -> tuple[str, ...]:
-        """Names of the parameters that moved.
+        """Names of the parameters that were updated.
 
         Returns
         -------

@@ -1,8 +1,8 @@
-"""The closed loop as a least-squares problem: with parameters and one flow per sweep as unknowns, and windows, prior and masses
-as data.
+"""The closed loop as a least-squares problem.
 
-The unknown is one vector: parameters (n), logarithm of each sweep's flow (S), slope of each (S) where the flow is a line, and the
-model's relative error at each plate angle (A) where several sweeps share it. Of one sweep alone that error counts as noise.
+Data are the sweeps' windows, the prior and weighed masses. The unknown vector holds the parameters (n), the logarithm of each
+sweep's flow (S), the slope of each flow (S) if flows are linear in time, and the model's relative error at each plate angle (A)
+if there are several sweeps, to which it is common. For a single sweep that error is counted as noise.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from .flow_process import correlation, process_sd
 
 _LEAST_FLOW_KG_S, _LARGEST_FLOW_KG_S = 1e-3, 1e3
 _AT_END = 1e-6
-"""Of ln(flow), within which a search has ended at the least flow."""
+"""Distance of ln(flow) from the least flow within which a search has ended there."""
 _FOLLOWED = 1e-4
-"""A Newton step of the flows this small leaves an error at rounding, their curvature being of their own size."""
+"""Relative size of a Newton step of the flows after which the remaining error is that of rounding."""
 _NEWTON_STEPS = 4
 _LARGEST_ERROR = 0.9
-"""Relative, of the model at an angle."""
+"""Largest relative error of the model at an angle."""
 _LEAST_GAIN = 1e-8
 """Least decrease of chi-square for a further step, as of one by 1e-4 standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Forces:
-    """Force (N,) of the windows, by the parameters (N, n), by the load (N,), and the load itself (N,)."""
+    """Force of the windows (N,), its derivatives with respect to parameters (N, n) and flow (N,), and the flow (N,)."""
 
     force: Array
     by_theta: Array
@@ -54,21 +54,33 @@ class _Forces:
 
 @dataclass(frozen=True, slots=True)
 class _WeighedFlows:
-    """Flows (A,) that explain the forces of the weighed loads' windows with some parameters (n,), and by_theta (A, n) there."""
+    """Flows that explain the forces of the weighed loads' windows (w,), their derivatives (w, n), and the parameters there
+    (n,)."""
 
     flow: Array
     by_theta: Array
     theta: Array
 
     def at(self, theta: Array) -> Array:
-        """About those with other parameters."""
+        """Approximate flows with other parameters."""
         return np.clip(self.flow + self.by_theta @ (theta - self.theta), 0.5 * self.flow, 2.0 * self.flow)
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The likeliest unknown (u,), residual (m,) and jacobian (m, u) there, covariance (u, u) by Laplace's approximation, and the
-    whitener of each sweep, (windows, windows)."""
+    """The solution of a `ClosedLoopProblem`.
+
+    Attributes
+    ----------
+    unknown : ndarray (u,)
+        The most likely unknown vector.
+    residual, jacobian : ndarray (m,), (m, u)
+        Whitened residuals there, and their derivatives.
+    covariance : ndarray (u, u)
+        Of the unknown, by Laplace's approximation.
+    whiteners : tuple of ndarray (windows, windows)
+        Inverse Cholesky factor of each sweep's force covariance.
+    """
 
     unknown: Array
     residual: Array
@@ -83,7 +95,7 @@ class ClosedLoopProblem:
     Attributes
     ----------
     names : tuple of str
-        The parameters in question.
+        Parameters with a variance.
     white : ndarray (n, n)
         Inverse of the lower Cholesky factor of the prior's covariance.
     lower, upper : ndarray (n,)
@@ -95,11 +107,11 @@ class ClosedLoopProblem:
     sweep_rows : list of slice
         Rows of each sweep among the residuals and the windows.
     slopes : int
-        Unknown slopes: one a sweep, or 0.
+        Number of unknown slopes: one for each sweep, or 0.
     at_angle : ndarray (windows, A)
-        1 where a window is at an angle whose model error all sweeps share, else 0; without columns where they share none.
+        1 if a window is at the angle, else 0; no columns if the model error is not part of the unknown.
     flow_covariances : list of ndarray
-        Of each sweep's flow about its level, where it is a random process.
+        Covariance of each sweep's ln(flow) about its level, if the flow is a random process.
     """
 
     def __init__(
@@ -140,12 +152,12 @@ class ClosedLoopProblem:
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
         self.flow_covariances: list[Array] = []
         self._near = _WeighedFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
-        """Where the weighed loads were evaluated last."""
+        """Flows of the weighed loads at the last evaluation."""
         self._last: tuple[bytes, _Forces] | None = None
 
     def _bounds(self, name: str, mean: float, *, weighed: bool) -> tuple[float, float]:
-        """Where a parameter is looked for: by sweeps alone where calibrations look; with something weighed, or from a value that
-        a person put outside, in all that is possible."""
+        """Limits of a parameter: the search range of calibrations for sweeps alone; the physical range if something was weighed
+        or the prior's value lies outside the search range."""
         scale = _impact_scale(self.prior_set.values)
         low, high = search_bounds(name, scale)
         if weighed or not low <= mean <= high:
@@ -174,12 +186,12 @@ class ClosedLoopProblem:
 
     @property
     def _errors(self) -> slice:
-        """Of the model's errors in the unknown."""
+        """Slice of the model's errors in the unknown."""
         first = len(self.names) + len(self.sweeps) + self.slopes
         return slice(first, first + self.at_angle.shape[1])
 
     def solve(self) -> Solution:
-        """The likeliest unknown. Raises ValueError where no flow can explain a sweep or a weighed load."""
+        """Find the most likely unknown. Raises ValueError if no flow can explain a sweep or a weighed load."""
         count, width = len(self.sweeps), len(self.names)
         flows, weighed_flows = self._first_flows()
         self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, width)), self.prior.mean)
@@ -190,7 +202,7 @@ class ClosedLoopProblem:
         low, high = np.concatenate((self.lower, *least)), np.concatenate((self.upper, *most))
         sizes = np.full(count, 0.1), np.full(self.slopes, 0.01), np.full(errors, error)
         unit = np.concatenate((self.prior.standard_deviation, *sizes))
-        # Noise from flow and model error scales with the force's slope: settle both in turn.
+        # The noise by flow and model error depends on the solution, so both are computed alternately.
         passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
         for _ in range(passes):
             whiteners = self._whiteners(unknown)
@@ -221,7 +233,7 @@ class ClosedLoopProblem:
         loop = OpenLoop(self.model, self.prior_set)
         flows = np.empty(len(self.sweeps))
         for i, sweep in enumerate(self.sweeps):
-            # The largest force determines it best; a median over the sweep's better half stands up to a bad window.
+            # Large forces determine the flow best; the median over the larger half is robust against a bad window.
             order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2) :]
             moisture = None if sweep.moisture_pct is None else sweep.moisture_pct[order]
             each = loop.invert(sweep.force_n[order], sweep.plate_angle_rad[order], sweep.elevator_speed_rad_s[order], moisture)
@@ -246,7 +258,7 @@ class ClosedLoopProblem:
         return np.concatenate([*parts, weighed_flows]) if parts or weighed_flows.size else np.ones(1)
 
     def _forces(self, unknown: Array) -> _Forces:
-        """With the weighed loads at flows that explain their forces; these are followed from one evaluation to the next."""
+        """Forces of the windows. Flows of the weighed loads are updated so that they explain their forces."""
         width, place = len(self.names), unknown.tobytes()
         if self._last is not None and self._last[0] == place:
             return self._last[1]
@@ -261,7 +273,7 @@ class ClosedLoopProblem:
                 break
             change = (self.force[rows] - found.force[rows]) / found.by_load[rows]
             if not np.all(np.isfinite(change)):
-                # More than a full paddle: nothing to follow.
+                # More than a full paddle: the flows cannot be updated.
                 return found
             flow = np.clip(load[rows] + change, 0.5 * load[rows], 2.0 * load[rows])
             self._near = _WeighedFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
@@ -305,7 +317,7 @@ class ClosedLoopProblem:
         return self._residuals(unknown[0], whiteners)
 
     def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
-        """(1, m) and (1, m, n + S + slopes): windows, prior, slopes' prior, masses; whitened."""
+        """Whitened residuals (1, m) and derivatives (1, m, u) of windows, prior, slopes, model errors, masses and density."""
         width, count = len(self.names), len(self.sweeps)
         found = self._forces(unknown)
         force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
@@ -339,7 +351,7 @@ class ClosedLoopProblem:
             residuals.append(errors / self.settings.model_error)
             jacobians.append(error_jacobian)
         for mass, rows in zip(self.masses, self.weighed_rows, strict=True):
-            # The last of the Newton steps to the flows that explain the forces.
+            # The last Newton step of the flows that explain the forces.
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
             error_kg, sd_kg = float(mass.duration_s @ flow - mass.reference_kg), mass.std_dev_kg
             by = np.zeros((1, unknown.size))
@@ -360,11 +372,11 @@ class ClosedLoopProblem:
         return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
 
     def model_errors_n(self, unknown: Array) -> Array:
-        """What the model misses of every window by errors that the sweeps share, N."""
+        """Error of every window's force by the model errors that are common to the sweeps, N."""
         return np.asarray(self._forces(unknown).force[: self.windows] * (self.at_angle @ unknown[self._errors]))
 
     def elastic(self, unknown: Array) -> Array:
-        """d(force)/d(ln flow) of every window."""
+        """d(force)/d(ln flow) of every window, N."""
         found = self._forces(unknown)
         return found.by_load * found.load
 

@@ -1,6 +1,6 @@
-"""Drift between calibrations: what was known grows stale with time and with grain that has passed.
+"""Drift between calibrations: the parameters' uncertainty grows with time and with harvested mass.
 
-Random walks: variances grow in proportion to hours and to harvested mass, up to what one knows without any calibration.
+Random walks: variances grow in proportion to hours and to harvested mass, up to those without any calibration.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from .drift_rates import KG_PER_KT, DriftRates
 
 
 def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg: float) -> ParameterSet:
-    """The same values with the covariance that they have `hours` and `harvested_kg` later. k1 and k2 share restitution's rates.
+    """The same values with their covariance after `hours` and `harvested_kg`. k1 and k2 have the rates of restitution.
 
-    Correlations made by earlier sweeps fade as the variances grow. Raises ValueError for negative amounts.
+    Correlations from earlier sweeps fade as the variances grow. Raises ValueError for negative amounts.
     """
     if hours < 0.0 or harvested_kg < 0.0:
         raise ValueError(f"drift over {hours} h and {harvested_kg} kg; expected 0 or more of each")

@@ -1,4 +1,4 @@
-"""How fast parameters drift: the rates that a configuration holds, with the registry's defaults."""
+"""Drift rates of the parameters, as in a configuration; the defaults come from the registry of grain parameters."""
 
 from __future__ import annotations
 
@@ -12,10 +12,23 @@ KG_PER_KT = 1e6
 
 @dataclass(frozen=True)
 class DriftRates:
-    """Growth of relative standard deviations, by parameter (1 + restitution stands for restitution); absent: no drift.
+    """Growth of relative standard deviations by parameter; a parameter without an entry does not drift.
 
-    per_root_hour: after one hour, harvested or not; per_root_kilotonne: after 1000 t of grain. limit: relative standard deviation
-    at which growth ends. Raises ValueError for a negative rate.
+    Restitution's deviations are relative to 1 + restitution.
+
+    Attributes
+    ----------
+    per_root_hour : mapping of str to float
+        After one hour, whether harvesting or not.
+    per_root_kilotonne : mapping of str to float
+        After 1000 t of grain.
+    limit : mapping of str to float
+        Relative standard deviation at which growth ends.
+
+    Raises
+    ------
+    ValueError
+        For a negative rate.
     """
 
     per_root_hour: Mapping[str, float] = field(default_factory=lambda: _defaults("per_root_hour"))
@@ -38,5 +51,5 @@ STEADY_MEMORY_KT = 2.0
 
 
 def steady_defaults() -> dict[str, float]:
-    """Likely sizes of steady drift per kilotonne; 0: none is looked for."""
+    """Expected sizes of steady drift per kilotonne by parameter; 0: no steady drift is estimated."""
     return _defaults("steady_per_kilotonne")

@@ -1,9 +1,10 @@
-"""What steady drift may have added to the parameters' error beyond their covariance, since the size of its rates is not known.
+"""Additional uncertainty of the parameters, because the expected size of steady drift rates is itself uncertain.
 
-`steady_drift` takes the likely sizes of rates as they are given. A weighed mass fixes the scale, and until the next one nothing
-shows how fast it drifts: sweeps do not see it, and kernel noise has a bias that wanders as well. So the part of the covariance
-that comes from the rates is carried beside it, through the same steps and updates with the gains that they had, and counts in
-what is stated by the mean square of the sizes that the rates may have. Values and updates are not changed.
+`steady_drift` assumes given sizes of the rates. A weighed mass fixes the scale, but until the next one nothing measures how fast
+the scale drifts: sweeps do not observe it, and the bias of kernel noise drifts as well. Therefore the part of the covariance that
+comes from the rates, here called the spread, is propagated separately through the same steps and updates with the same gains. The
+stated uncertainty contains it, multiplied by the mean square of the possible sizes of the rates. Values and updates stay the
+same.
 
 Source: Gelb, "Applied optimal estimation" (1974), chapter 7, on the error covariance of an estimator made for other noise.
 """
@@ -17,15 +18,16 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 SLOWEST, FASTEST = 0.5, 4.5
-"""Over the rates' likely sizes: those of two seasons, friction by 15 % in 60 h and density by up to 15 % in 480 t."""
+"""Range of the true size of the rates relative to the assumed one. The extremes are those of two seasons, in which friction
+changed by 15 % in 60 h and density by up to 15 % in 480 t."""
 MEAN_SQUARE = (FASTEST**2 - SLOWEST**2) / (2.0 * log(FASTEST / SLOWEST))
-"""Of a size that is as likely in each octave between the two."""
+"""Mean square of a size with a log-uniform distribution in this range."""
 SINGULAR = 1e-12
-"""Of the largest eigenvalue of a correlation matrix: smaller ones are none."""
+"""Share of the largest eigenvalue of a correlation matrix below which an eigenvalue counts as 0."""
 
 
 def begin(covariance: Array, rates: int) -> Array:
-    """Spread of n states, of which the last ones are rates, and of the bias of kernel noise: (n + 1, n + 1)."""
+    """Initial spread of n states, the last `rates` of which are rates, and of the bias of kernel noise, (n + 1, n + 1)."""
     spread = np.zeros((len(covariance) + 1,) * 2)
     first = len(covariance) - rates
     spread[first:-1, first:-1] = covariance[first:, first:]
@@ -33,7 +35,8 @@ def begin(covariance: Array, rates: int) -> Array:
 
 
 def advanced(spread: Array, transition: Array, forgotten: Array) -> Array:
-    """After a time: states went by `transition` (n, n), and rates that were forgotten added `forgotten` (n, n)."""
+    """Spread after a time step with the states' transition matrix (n, n) and the covariance (n, n) added by forgetting of
+    rates."""
     whole = np.eye(len(spread))
     whole[:-1, :-1] = transition
     later: Array = whole @ spread @ whole.T
@@ -42,15 +45,16 @@ def advanced(spread: Array, transition: Array, forgotten: Array) -> Array:
 
 
 def updated(spread: Array, errors: Array) -> Array:
-    """After an update that took errors e of states and bias to `errors @ e` (n + 1, n + 1), but for its own noise."""
+    """Spread after an update that, apart from its own noise, changed errors e of states and bias to errors @ e, (n + 1, n +
+    1)."""
     later: Array = errors @ spread @ errors.T
     return 0.5 * (later + later.T)
 
 
 def by_update(before: Array, after: Array) -> Array:
-    """What an update did to the errors of all states, (n, n), from their covariance before and after it.
+    """Matrix by which an update changed the errors of all states, after @ inverse(before), (n, n).
 
-    For an update that weighs by the covariance before: what is left of an error is after / before.
+    It holds for an update that is optimal for the covariance before.
     """
     scale = np.sqrt(np.maximum(np.diag(before), 1e-300))
     inverse = np.linalg.pinv(before / np.outer(scale, scale), rcond=SINGULAR, hermitian=True)
@@ -58,11 +62,12 @@ def by_update(before: Array, after: Array) -> Array:
 
 
 def with_bias(covariance: Array, bias: tuple[Array, float] | None) -> Array:
-    """Covariance of n states and of the bias: its covariance with them (n,) and its variance; None: it is not known of."""
+    """Covariance of n states and the bias. bias: covariance of the bias with the states, (n,), and its variance; None: there is
+    none."""
     cross, variance = (np.zeros(len(covariance)), 1.0) if bias is None else bias
     return np.block([[covariance, cross[:, None]], [cross[None], np.array([[variance]])]])
 
 
 def beyond(spread: Array, parameters: int) -> Array:
-    """What the first so many states are unsure by beyond their covariance, (parameters, parameters)."""
+    """Additional covariance of the first states, the parameters, (parameters, parameters)."""
     return np.asarray((MEAN_SQUARE - 1.0) * spread[:parameters, :parameters])

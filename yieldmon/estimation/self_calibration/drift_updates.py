@@ -1,10 +1,10 @@
-"""Updates of a drifting state repeated without those by sweeps, to correct the time before by weighed masses alone.
+"""Repetition of past updates without the sweeps, to correct past masses by weighed masses alone.
 
-A sweep is read through the model's profile over the plate angle. Its scatter, and a model error that comes back with each sweep,
-go into friction and with it into the flow at home; the drift of friction that the estimator expects lets them. While the machine
-harvests that is worth it, since nothing else speaks. Once a weighed mass has spoken, masses measured again by the weighed masses
-alone have neither. What an update said apart from what was known before it follows from the state and covariance before and after
-it, so that nothing is measured anew.
+A sweep is evaluated with the model's force over the plate angle. Its scatter, and a model error that recurs with each sweep,
+change friction and with it the flow at home, since the estimator expects friction to drift. During harvest sweeps are used
+nevertheless, since nothing else measures the drift. Once there is a weighed mass, past masses are recomputed without these errors
+from the weighed masses alone. The information of an update is recovered from the state and covariance before and after it, so
+that the measurements are not needed again.
 
 Sources: Rauch, Tung and Striebel, AIAA Journal 3 (1965), on the smoother that this serves; Brynjarsdottir and O'Hagan, Inverse
 Problems 30 (2014), on what is estimated through a model with an error.
@@ -23,7 +23,7 @@ from .drift_spread import SINGULAR
 from .steady_drift import Advance, DriftingParameters, widened
 
 _ROUNDING = 1e-6
-"""Share of a variance by which an update may miss its prior."""
+"""Relative rounding error of a variance in an update."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +33,19 @@ class DriftUpdate:
     Parameters
     ----------
     advance : Advance
-        How the state came to the update.
+        The time step that ends at the update.
     state : ndarray (n,)
-        What the update made of it.
+        State after the update: parameters, then rates.
     covariance : ndarray (n, n)
-        Its covariance then.
+        Its covariance.
     widening : float
         Factor on the parameters' covariance before the update (`Outcome.prior_widening`).
     sweep_alone : bool
-        Whether it is by a sweep alone, without a weighed mass or a known density.
+        Whether the update used a sweep without a weighed mass or a known density.
     rates : int
-        Of the n states, the last ones, which a widening leaves as they are.
+        Number of rates, to which the widening does not apply.
     names : tuple of str
-        Of the other states; empty where they are not known.
+        Names of the parameters; empty if they are not known.
     """
 
     advance: Advance
@@ -57,13 +57,13 @@ class DriftUpdate:
     names: tuple[str, ...] = ()
 
     def widened(self, covariance: Array) -> Array:
-        """A covariance before the update, (n, n), as the update took it."""
+        """A covariance before the update, (n, n), with the update's widening."""
         return widened(covariance, self.names or ("",) * (len(covariance) - self.rates), self.widening)
 
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """Independent readings of rows @ state, with their variances: the information of an update, independent of its prior."""
+    """Independent measurements of rows @ state with variances, equivalent to the data of an update without its prior."""
 
     rows: Array
     values: Array
@@ -71,18 +71,18 @@ class _Readings:
 
 
 def by_weighed_masses(updates: Sequence[DriftUpdate]) -> list[DriftUpdate]:
-    """The same updates at the same times, as they would be without the sweeps.
+    """The updates as they would have been without the sweeps.
 
     Parameters
     ----------
     updates : sequence of DriftUpdate
-        In order, each beginning where the one before it ended.
+        In order of time, without gaps.
 
     Returns
     -------
     list of DriftUpdate
-        Up to the first update of a sweep as given. An update that replaced what was known, where others update it, replaces it
-        here too.
+        Those before the first sweep are unchanged. An update that replaced the former state instead of adding information to it
+        replaces it here too.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def by_weighed_masses(updates: Sequence[DriftUpdate]) -> list[DriftUpdate]:
 
 
 def ending(last: DriftingParameters, update: DriftUpdate) -> DriftingParameters:
-    """`last` with the state and covariance that an update led to."""
+    """`last` with the state and covariance after an update."""
     names = last.parameters.covariance_names
     count = len(names)
     values = {**last.parameters.values, **{n: float(v) for n, v in zip(names, update.state[:count], strict=True)}}
@@ -123,7 +123,7 @@ def ending(last: DriftingParameters, update: DriftUpdate) -> DriftingParameters:
 
 
 def _continued(advance: Advance, before: Array, covariance_before: Array) -> Advance:
-    """The same time from another state: linear about the one on record, with the same random walk."""
+    """The same time step from another state, linearised about the recorded one, with the same random walk."""
     move = advance.transition
     walk = advance.covariance_after - move @ advance.covariance_before @ move.T
     after = advance.after + move @ (before - advance.before)
@@ -132,7 +132,7 @@ def _continued(advance: Advance, before: Array, covariance_before: Array) -> Adv
 
 
 def _readings(update: DriftUpdate) -> _Readings | None:
-    """None where the update left something less certain than it was, which no reading does."""
+    """Measurements equivalent to an update; None if it made a state less certain, which no measurement does."""
     prior = update.widened(update.advance.covariance_after)
     scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
     sizes, axes = np.linalg.eigh(prior / np.outer(scale, scale))
@@ -144,7 +144,7 @@ def _readings(update: DriftUpdate) -> _Readings | None:
     informed = left < 1.0 - _ROUNDING
     left = np.maximum(left[informed], SINGULAR)
     rows = turned[:, informed].T @ white
-    # A reading z of a unit prior variance moves by (1 - left) (z - prior).
+    # With unit prior variance, a reading z changes the state by (1 - left) (z - prior).
     values = rows @ update.advance.after + rows @ (update.state - update.advance.after) / (1.0 - left)
     return _Readings(rows, values, left / (1.0 - left))
 

@@ -1,8 +1,9 @@
-"""How much the flow wandered during a sweep, from windows at like plate angles alone.
+"""Variation of the flow during a sweep, estimated from windows at the same plate angle.
 
-Differences between windows at one angle hold window noise and the flow's own wandering, but nothing of the model's error and of
-the grain's parameters, which are the same in both. The wandering is an Ornstein-Uhlenbeck process of known correlation time; its
-size comes from the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971; one mean for each angle) and a prior.
+Differences between windows at one angle contain window noise and the flow's variation, but neither the model's error nor errors
+of the grain's parameters, which are the same in both windows. The variation is an Ornstein-Uhlenbeck process with a known
+correlation time. Its size is estimated from the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971; one mean for
+each angle) and a prior.
 """
 
 from __future__ import annotations
@@ -25,11 +26,23 @@ def correlation(time_s: Array, time_constant_s: float) -> Array:
 def process_sd(
     log_flow: Array, log_flow_sd: Array, plate_angle_rad: Array, time_s: Array, time_constant_s: float, prior_sd: float
 ) -> float:
-    """Relative standard deviation of the flow's wandering: root of the posterior mean of its variance.
+    """Relative standard deviation of the flow's variation: root of the posterior mean of its variance.
 
-    log_flow: of each window, (n,), from any parameters; an offset common to the windows of one angle does not count. log_flow_sd:
-    its window noise. prior_sd: the likeliest value before the sweep, known to a factor e (log-normal); returned where no angle
-    was visited twice, or where it is 0.
+    Parameters
+    ----------
+    log_flow, log_flow_sd : ndarray (n,)
+        ln(flow) of each window with any parameters, and its standard deviation by noise. An offset common to the windows of one
+        angle has no effect.
+    plate_angle_rad, time_s : ndarray (n,)
+    time_constant_s : float
+        Correlation time.
+    prior_sd : float
+        Most likely value before the sweep, uncertain by a factor e (log-normal).
+
+    Returns
+    -------
+    float
+        prior_sd if no angle was visited twice or prior_sd is 0.
     """
     contrasts = _contrasts(plate_angle_rad)
     if prior_sd == 0.0 or not len(contrasts):
@@ -49,13 +62,13 @@ def process_sd(
 
 
 def _contrasts(plate_angle_rad: Array) -> Array:
-    """Orthonormal rows that each weigh windows of one angle against each other, shape (n - angles, n)."""
+    """Orthonormal contrasts between windows of the same angle, (n - angles, n)."""
     order = np.argsort(plate_angle_rad, kind="stable")
     starts = np.flatnonzero(np.diff(cluster(plate_angle_rad, SAME_ANGLE_RAD)[order])) + 1
     rows = []
     for group in np.split(order, starts):
         for k in range(1, group.size):
-            # Helmert: the k-th against the mean of those before it.
+            # Helmert contrast: the k-th window against the mean of those before it.
             row = np.zeros(plate_angle_rad.size)
             row[group[:k]] = -1.0 / k
             row[group[k]] = 1.0

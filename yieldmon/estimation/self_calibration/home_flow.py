@@ -1,8 +1,8 @@
-"""Flow while the plate is away from home, from the visits home that bracket it.
+"""Flow while the plate is away from home, interpolated between the visits home before and after.
 
-A visit is a run of windows at home; its flow is their mean. In between flow is taken to run straight in its logarithm. What it
-may do beside that is a random walk, whose variance for each second comes from how much the visits differ beyond their own noise;
-pinned at both ends it is a Brownian bridge.
+A visit is a series of successive windows at home; its flow is their mean. In between, the logarithm of the flow is interpolated
+linearly. Deviations from the line are a random walk whose variance per second is estimated from the differences between visits
+beyond their noise. Since the flow is known at both ends, the deviation is a Brownian bridge.
 """
 
 from __future__ import annotations
@@ -16,12 +16,20 @@ from numpy.typing import NDArray
 from yieldmon.physics.numerics import Array
 
 _VISIT_GAP_S = 3.0
-"""Windows at home further apart than this belong to two visits."""
+"""Gap between windows at home from which on they belong to two visits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Visits:
-    """Visits home of one sweep, arrays (visits,), in order of time: middle, s; logarithm of flow, and its sd from noise."""
+    """Visits home of one sweep in order of time.
+
+    Attributes
+    ----------
+    time_s : ndarray (visits,)
+        Middle of each visit, s.
+    log_flow, sd : ndarray (visits,)
+        ln(flow, kg/s), and its standard deviation by noise.
+    """
 
     time_s: Array
     log_flow: Array
@@ -29,7 +37,7 @@ class Visits:
 
     @classmethod
     def of(cls, time_s: Array, flow_kg_s: Array, relative_sd: Array) -> Visits:
-        """From the windows at home, arrays (windows,); those without a flow above 0 are left out."""
+        """Build it from the windows at home, arrays (windows,); those without a flow above 0 are left out."""
         with np.errstate(invalid="ignore"):
             known = np.flatnonzero((flow_kg_s > 0.0) & (relative_sd > 0.0))
         order = known[np.argsort(time_s[known], kind="stable")]
@@ -55,13 +63,13 @@ class AwayVisits:
     Attributes
     ----------
     plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s, force_n : Array
-        Of each visit, (visits,), in rad, rad/s, kg/s and N; the flow is what the visits home around it give by the parameters.
+        Of each visit, (visits,), in rad, rad/s, kg/s and N; the flow is interpolated between the visits home before and after.
     moisture_pct : float
-        Of the sweep; nan where not known.
+        Of the sweep; nan if it is not known.
     force_variance : Array
-        Of ln(force), (visits,).
+        Variance of ln(force), (visits,).
     flow_covariance : Array
-        Of ln(flow), (visits, visits): visits share the visits home that bracket them.
+        Covariance of ln(flow), (visits, visits); visits between the same visits home are correlated.
     """
 
     plate_angle_rad: Array
@@ -77,7 +85,7 @@ class AwayVisits:
 
 
 def wander_per_s(sweeps: Sequence[Visits]) -> float:
-    """Variance by which ln(flow) wanders in a second, pooled over sweeps; 0 where their own noise explains all differences."""
+    """Variance of the random walk of ln(flow) per second, pooled over sweeps; 0 if noise explains all differences."""
     excess, seconds = 0.0, 0.0
     for visits in sweeps:
         step = np.diff(visits.log_flow)
@@ -87,10 +95,22 @@ def wander_per_s(sweeps: Sequence[Visits]) -> float:
 
 
 def bracketed(visits: Visits, time_s: Array, wander: float, *, at_home: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """ln(flow) at given times and its standard deviation, arrays of time_s's shape; nan outside the first and last visit.
+    """Interpolated ln(flow) at given times.
 
-    wander: see `wander_per_s`. at_home: windows that are part of a visit themselves; theirs is judged by the other visits alone,
-    so the first and last have none.
+    Parameters
+    ----------
+    visits : Visits
+    time_s : ndarray (t,)
+    wander : float
+        See `wander_per_s`.
+    at_home : ndarray of bool (t,), optional
+        Times at which the plate is at home. For these the flow is interpolated without their own visit, so that the first and
+        last visit have none.
+
+    Returns
+    -------
+    ndarray (t,), ndarray (t,)
+        ln(flow) and its standard deviation; nan before the first and after the last visit.
     """
     value, sd = np.full(time_s.shape, np.nan), np.full(time_s.shape, np.nan)
     for i, at in enumerate(time_s):
@@ -110,9 +130,10 @@ def bracketed(visits: Visits, time_s: Array, wander: float, *, at_home: NDArray[
 
 
 def covariance(visits: Visits, time_s: Array, wander: float) -> Array:
-    """Covariance of `bracketed`'s errors at times away from home, (n, n), ascending; nan rows outside the first and last visit.
+    """Covariance of the errors of `bracketed` at ascending times away from home, (t, t); nan before the first and after the last
+    visit.
 
-    Two times share the noise of the visits that bracket both, and within one bracket the wander of the same bridge.
+    Times between the same visits have their noise and the random walk between them in common.
     """
     share = np.full((time_s.size, max(len(visits), 1)), np.nan)
     bridge = np.zeros((time_s.size, time_s.size))

@@ -1,8 +1,9 @@
-"""Whether the residuals of several sweeps show a pattern that the model cannot make, and where.
+"""Test whether several sweeps have residuals in common that the model cannot explain, and at which plate angles.
 
-One sweep's residuals may be a bad sweep; the same pattern over several is the model's. Residuals are averaged over sweeps at each
-plate angle; their mean square over what the sweeps' own scatter and a tolerated model error allow is an F ratio, and the region
-is the contiguous run of angles whose normalised sum is largest.
+Residuals of a single sweep may come from a disturbance; the same pattern in several sweeps indicates an error of the model. The
+residuals are averaged over the sweeps at each plate angle. The ratio of their mean square to that expected from the sweeps'
+scatter and a tolerated model error is an F statistic. The reported region is the contiguous range of angles with the largest
+normalised sum.
 """
 
 from __future__ import annotations
@@ -32,9 +33,15 @@ _MOST_LOG_GAIN = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SweepResiduals:
-    """Residuals of one sweep after its own best fit: model minus measurement over measurement, and their sd; shapes (steps,).
+    """Residuals of one sweep after a fit.
 
-    fitted: number of quantities that the sweep's fit took from these steps.
+    Attributes
+    ----------
+    plate_angle_rad : ndarray (steps,)
+    relative_residual, sd : ndarray (steps,)
+        (model - measurement) / measurement, and its standard deviation.
+    fitted : int
+        Number of parameters that were fitted to this sweep alone.
     """
 
     plate_angle_rad: Array
@@ -45,7 +52,18 @@ class SweepResiduals:
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """disagrees: the common pattern is significant. Region and mean relative error of its strongest run of angles."""
+    """Result of the test.
+
+    Attributes
+    ----------
+    disagrees : bool
+        Whether the common pattern is significant.
+    p_value : float
+    plate_angle_rad : (float, float)
+        First and last angle of the region with the largest error.
+    mean_relative_error : float
+        In that region.
+    """
 
     disagrees: bool
     p_value: float
@@ -54,15 +72,25 @@ class Misfit:
 
 
 NO_MISFIT = Misfit(disagrees=False, p_value=1.0, plate_angle_rad=(np.nan, np.nan), mean_relative_error=np.nan)
-"""Nothing to say."""
+"""Result if there are too few data, or no significant pattern."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReducedSweep:
-    """One sweep brought to one flow and speed: logarithm of the force (N) at each plate angle and its sd, shapes (angles,).
+    """One sweep, with its forces converted to the same flow and speed.
 
-    mass_flow_kg_s: mean of the flow at home, with the parameters then in use. moisture_pct: nan where not known. home_log_force:
-    logarithm of the force (N) that this flow had at home; nan where it was not kept.
+    Attributes
+    ----------
+    plate_angle_rad : ndarray (angles,)
+    log_force, sd : ndarray (angles,)
+        ln(force, N) at each angle, and its standard deviation.
+    mass_flow_kg_s : float
+        Mean flow at home, measured with the parameters in use at that time.
+    elevator_speed_rad_s : float
+    moisture_pct : float
+        nan if it is not known.
+    home_log_force : float
+        ln(force, N) of this flow at home; nan if it was not stored.
     """
 
     plate_angle_rad: Array
@@ -74,7 +102,7 @@ class ReducedSweep:
     home_log_force: float = float("nan")
 
     def measured_by(self, model: ForwardModel, parameters: ParameterSet) -> ReducedSweep:
-        """The same with the flow that other parameters give for the force at home; unchanged where that is not known."""
+        """The sweep with the flow that other parameters give for the force at home; unchanged if that force is not known."""
         if not np.isfinite(self.home_log_force):
             return self
         flow = OpenLoop(model, parameters).invert(
@@ -95,9 +123,22 @@ def reduce_sweep(
     force_std_dev_n: Array,
     moisture_pct: Array,
 ) -> ReducedSweep | None:
-    """A sweep's windows, arrays (windows,), as one value for each plate angle; None where they do not say.
+    """Average a sweep's windows at each plate angle.
 
-    The flow of a window is that of the visits home around it (`home_flow`); the model only carries the force from it to the mean.
+    The flow of a window is interpolated between the visits home (`home_flow`). The model is only used to convert the force from
+    the window's flow and speed to their means.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    parameters : ParameterSet
+        In use.
+    time_s, plate_angle_rad, elevator_speed_rad_s, force_n, force_std_dev_n, moisture_pct : ndarray (windows,)
+
+    Returns
+    -------
+    ReducedSweep or None
+        None if no window has a usable force and flow, or the model needs a moisture that is not known.
     """
     known = np.isfinite(moisture_pct)
     moisture = float(np.median(moisture_pct[known])) if np.any(known) else float("nan")
@@ -134,10 +175,16 @@ def reduce_sweep(
 def pooled_residuals(
     model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep]
 ) -> tuple[list[SweepResiduals], int]:
-    """Residuals of sweeps after the best fit that friction, density and impact gain can do, the same for all sweeps.
+    """Residuals of sweeps after a joint fit of friction, density and impact gain.
 
-    They may be anything physical (the gain anything), whatever is thought of them: a pattern that a recalibration would absorb is
-    no disagreement of the model. Returns the residuals and how many of the three the fit could move (those not at a bound).
+    The prior is not used, since a pattern that a recalibration would remove is no error of the model. Friction and density are
+    limited to their physical ranges.
+
+    Returns
+    -------
+    list of SweepResiduals
+    int
+        Number of the three parameters that did not end at a limit.
     """
     sizes = [s.plate_angle_rad.size for s in sweeps]
     measured, sd = (np.concatenate([getattr(s, name) for s in sweeps]) for name in ("log_force", "sd"))
@@ -153,7 +200,7 @@ def pooled_residuals(
     low, high = np.minimum([*least, -_MOST_LOG_GAIN], start), np.maximum([*most, _MOST_LOG_GAIN], start)
 
     def difference(theta: Array) -> tuple[Array, Array]:
-        """ln(model) - ln(measurement), and its derivatives; nan beyond a full paddle."""
+        """ln(model) - ln(measurement), and its derivatives; nan above a full paddle."""
         values = dict(parameters.values) | dict(zip(_FREE, theta[:-1].tolist(), strict=True))
         force, slopes = model.derivatives(conditions, values, _FREE, of="force")
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -171,7 +218,8 @@ def pooled_residuals(
 
 
 def _by_angle(angle: Array, values: Array, noise: Array, bracket: Array) -> tuple[Array, Array, Array]:
-    """Angle, mean value and sd at each angle; the error of the bracketing flow is common to the windows there."""
+    """Mean angle, mean value and standard deviation at each angle. noise is independent; bracket, the error of the interpolated
+    flow, is common to the windows at an angle."""
     numbers = cluster(angle, SAME_ANGLE_RAD)
     weight = 1.0 / (noise**2 + bracket**2)
     total = np.bincount(numbers, weight)
@@ -191,11 +239,22 @@ def common_misfit(
     tolerance: float = 0.0,
     shared: int = 0,
 ) -> Misfit:
-    """Test the pattern over plate angle that the sweeps share.
+    """Test the residual pattern over plate angle that the sweeps have in common.
 
-    tolerance: standard deviation of a relative model error at each angle that is tolerated; averaging over sweeps does not take
-    it away. shared: quantities fitted to all sweeps together. Never disagrees on fewer than least_sweeps sweeps. The scatter of
-    the sweeps about their common pattern widens the stated sd where it is larger, so that flow that wanders raises no alarm.
+    If the sweeps scatter about the common pattern by more than their stated standard deviations, these are widened, so that a
+    varying flow does not cause a false alarm.
+
+    Parameters
+    ----------
+    sweeps : sequence of SweepResiduals
+    least_sweeps : int
+        With fewer sweeps the result is `NO_MISFIT`.
+    level : float
+        p value below which the pattern is significant.
+    tolerance : float
+        Standard deviation of a tolerated relative model error at each angle, which does not average out over sweeps.
+    shared : int
+        Number of parameters fitted to all sweeps together.
     """
     usable = [s for s in sweeps if len(s.relative_residual) > s.fitted + 1]
     if len(usable) < least_sweeps:
@@ -237,7 +296,7 @@ def common_misfit(
 
 
 def _strongest_run(whitened: Array) -> tuple[int, int]:
-    """First and last cell of the contiguous run with the largest |sum| / sqrt(length)."""
+    """First and last index of the contiguous range with the largest |sum| / sqrt(length)."""
     total = np.concatenate(([0.0], np.cumsum(whitened)))
     best, place = -1.0, (0, 0)
     for first in range(len(whitened)):

@@ -1,4 +1,4 @@
-"""Grain parameters against moisture: a map fitted at a few moistures, which moves a prior when the moisture changes."""
+"""Grain parameters as a function of moisture, fitted at a few moistures; used to change a prior when the moisture changes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,19 @@ from yieldmon.physics.numerics import Array
 class MoistureMap:
     """Parameter values at known moistures, linear in between, constant outside.
 
-    moisture_pct: ascending, two or more; values: name -> one value a moisture, above 0; doubt: standard deviation of a change
-    that the map predicts, as a share of it. Raises ValueError for anything else.
+    Attributes
+    ----------
+    moisture_pct : tuple of float
+        Two or more, ascending.
+    values : mapping of str to tuple of float
+        Values of each parameter at these moistures, above 0.
+    doubt : float
+        Relative standard deviation of a predicted change, 0 or more.
+
+    Raises
+    ------
+    ValueError
+        For any other values.
     """
 
     moisture_pct: tuple[float, ...]
@@ -33,14 +44,14 @@ class MoistureMap:
             raise ValueError(f"moisture map: doubt is {self.doubt}; expected 0 or more")
 
     def at(self, name: str, moisture_pct: float) -> float:
-        """The map's own value."""
+        """Value of a parameter at a moisture."""
         return float(np.interp(moisture_pct, self.moisture_pct, self.values[name]))
 
     def moved(self, parameters: ParameterSet, from_pct: float, to_pct: float) -> ParameterSet:
-        """The prior for grain at to_pct, from what is known of grain at from_pct.
+        """The prior for grain at moisture to_pct, from the parameters of grain at from_pct.
 
-        Each parameter that the map knows is multiplied by the map's ratio, its errors with it, and the doubt about the change is
-        added; others stay. Moistures outside the map count as its ends.
+        Each parameter in the map, and its standard deviation, is multiplied by the map's ratio, and the uncertainty of the change
+        is added. Others stay the same. Moistures outside the map are clamped to its ends.
         """
         ratios = {n: self.at(n, to_pct) / self.at(n, from_pct) for n in self.values if n in parameters.values}
         if all(r == 1.0 for r in ratios.values()):
@@ -53,9 +64,9 @@ class MoistureMap:
 
 
 def fit(moisture_pct: Sequence[float], sets: Sequence[ParameterSet], doubt: float = 0.5) -> MoistureMap:
-    """A map through calibrations at several moistures: the parameters that were fitted in all of them and stayed above 0.
+    """A map from calibrations at several moistures, with the parameters that are fitted and above 0 in all of them.
 
-    Raises ValueError when there are fewer than two or none is common to all.
+    Raises ValueError if there are fewer than two calibrations, or no parameter is common to all.
     """
     order = np.argsort(moisture_pct)
     shared = [n for n in sets[0].covariance_names if all(n in s.covariance_names and s.values[n] > 0.0 for s in sets)]

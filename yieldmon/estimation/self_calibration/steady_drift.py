@@ -1,10 +1,10 @@
-"""Parameters that drift at a steady, unknown rate: the rates are estimated along with them, and later updates correct the past.
+"""Parameters that drift at a steady, unknown rate. The rates are estimated too, and later updates correct past values.
 
-Wear and a ripening crop move friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
-forgets at every step what the steps before had in common; with rates as further states, hundreds of sweeps and a few weighed
-loads add up. States are (parameters, rates); the rates are never measured, they follow by their covariance with the parameters.
-A rate lasts for some harvested mass and not for ever: it returns to 0 and its standard deviation to what is likely, as an
-Ornstein-Uhlenbeck process does, so that another field, crop or year can have another rate.
+Wear and a ripening crop change friction, impact gain and density in one direction for weeks. A random walk alone (`drift.grow`)
+does not represent that successive steps have the same sign. With the rates as further states, hundreds of sweeps and a few
+weighed loads determine the drift. The state is (parameters, rates). Rates are not measured directly but are updated through their
+covariance with the parameters. A rate decays to 0 over some harvested mass, and its standard deviation returns to the expected
+size (an Ornstein-Uhlenbeck process), so that another field, crop or year can have another rate.
 
 Sources: Harvey, "Forecasting, structural time series models and the Kalman filter" (1989), local linear trend; Gardner and
 McKenzie, "Forecasting trends in time series" (1985), the damped trend; Rauch, Tung and Striebel, "Maximum likelihood estimates of
@@ -29,16 +29,27 @@ from .drift import grow
 from .drift_rates import KG_PER_KT, DriftRates
 
 _SHORT = 1e-2
-"""Of a rate's memory, below which a variance comes from its series."""
+"""Grain relative to a rate's memory below which a variance is computed from its series."""
 
 
 @dataclass(frozen=True)
 class DriftingParameters:
-    """What is known of n parameters and of the rates of r among them.
+    """State of n parameters and the drift rates of r of them.
 
-    names: the r, in the order of rates. rates: (r,) change per kilotonne of grain in the parameter's natural scale (itself; 1 +
-    restitution for restitution). joint: (n + r, n + r) covariance of `parameters.covariance_names`, then the rates.
-    Raises ValueError when the shapes do not fit or a name has no variance.
+    Attributes
+    ----------
+    parameters : ParameterSet
+    names : tuple of str
+        Parameters that have a rate.
+    rates : ndarray (r,)
+        Change per kilotonne of grain relative to the parameter's natural scale (itself; 1 + restitution for restitution).
+    joint : ndarray (n + r, n + r)
+        Covariance of `parameters.covariance_names`, then the rates.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, or a name has no variance.
     """
 
     parameters: ParameterSet
@@ -63,7 +74,7 @@ class DriftingParameters:
 
 @dataclass(frozen=True, slots=True)
 class Advance:
-    """One step of time: states and covariances before and after it, and the matrix between."""
+    """One time step: state and covariance before and after it, and the transition matrix."""
 
     before: Array
     covariance_before: Array
@@ -73,10 +84,19 @@ class Advance:
 
 
 def begin(parameters: ParameterSet, per_kilotonne: Mapping[str, float]) -> DriftingParameters:
-    """Rates of 0 with the given standard deviations (restitution's for k1 and k2 too); parameters without variance have none,
-    and count as exactly known.
+    """The initial state, with rates of 0.
 
-    Raises ValueError for a negative standard deviation.
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Those without a variance count as exactly known and get no rate.
+    per_kilotonne : mapping of str to float
+        Standard deviations of the rates; that of restitution also for k1 and k2.
+
+    Raises
+    ------
+    ValueError
+        For a negative standard deviation.
     """
     for name, rate in per_kilotonne.items():
         if not rate >= 0.0:
@@ -102,7 +122,7 @@ def advance(
     per_kilotonne: Mapping[str, float] | None = None,
     memory_kt: float = inf,
 ) -> tuple[DriftingParameters, Advance]:
-    """What is known some time and grain later: the rates move the parameters, the random walk widens them.
+    """The state after some time and harvested mass: rates change the parameters, and the random walk adds variance.
 
     Parameters
     ----------
@@ -110,11 +130,11 @@ def advance(
     random : DriftRates
         Random walk of the parameters.
     hours, harvested_kg : float
-        What has passed, 0 or more.
+        Time and harvested mass of the step, 0 or more.
     per_kilotonne : mapping of str to float, optional
-        Likely sizes of the rates, as `begin` has them; what a rate forgets, it becomes unsure by.
+        Expected sizes of the rates, as in `begin`. A rate's standard deviation returns to them as it decays.
     memory_kt : float
-        Harvested mass over which a rate falls to 1/e of itself, kt; inf: it stays for ever.
+        Harvested mass over which a rate decays to 1/e, kt; inf: it does not decay.
 
     Returns
     -------
@@ -150,7 +170,7 @@ def advance(
 def forgotten(
     known: DriftingParameters, harvested_kg: float, *, per_kilotonne: Mapping[str, float] | None = None, memory_kt: float = inf
 ) -> Array:
-    """Covariance (n + r, n + r) that states gain over some grain as their rates are forgotten; arguments as of `advance`."""
+    """Covariance (n + r, n + r) added over some grain by the decay of rates; arguments as in `advance`."""
     parameters, count = known.parameters, len(known.parameters.covariance_names)
     _, _, variance, tie, own = _forgetting(harvested_kg / KG_PER_KT, memory_kt)
     added = np.zeros_like(known.joint)
@@ -166,17 +186,17 @@ def forgotten(
 def with_gain_error(
     known: DriftingParameters, step: Advance, relative: float, *, all_along: bool = False
 ) -> tuple[DriftingParameters, Advance]:
-    """The same where the impact gain is less sure besides, as by grain of a moisture that the parameters do not follow.
+    """Add an uncertainty of the impact gain, for example because the parameters do not depend on the grain's moisture.
 
     Parameters
     ----------
     known : DriftingParameters
     step : Advance
-        That led to it.
+        The time step that ends at `known`.
     relative : float
-        Standard deviation of the gain, 0 or more; parameters without a gain that is unsure stay as they are.
+        Additional relative standard deviation of the gain, 0 or more. Without a gain that has a variance nothing changes.
     all_along : bool
-        Whether the error existed before the step as well, so that an update of it also applies to the time before.
+        Whether the error existed before the step as well, so that an update of it also corrects the time before.
 
     Returns
     -------
@@ -198,8 +218,16 @@ def with_gain_error(
 
 
 def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float, float, float]:
-    """Of a rate after some grain: the share of it that is left; the grain over which it has moved its parameter; and, for a
-    likely size of 1, the variance that forgetting gives to the parameter, the covariance with the rate, and the rate's variance.
+    """Decay of a rate over some grain.
+
+    Returns
+    -------
+    left : float
+        Share of the rate that remains.
+    lasting : float
+        Integral of this share over the grain, kt.
+    variance, tie, own : float
+        Added variance of the parameter, covariance of parameter and rate, and variance of the rate, for an expected size of 1.
     """
     if isinf(memory_kt) or grain_kt <= 0.0:
         return 1.0, max(grain_kt, 0.0), 0.0, 0.0, 0.0
@@ -213,8 +241,10 @@ def _forgetting(grain_kt: float, memory_kt: float) -> tuple[float, float, float,
 
 
 def widened(joint: Array, names: Sequence[str], widening: float) -> Array:
-    """A joint covariance whose first states, the parameters of these names, turn out less certain by a factor on their variances.
-    Rates and their covariances stay: a jump is no drift that goes on. So does another combine's monitor, which has not changed.
+    """A joint covariance with the variances of its first states, the parameters of these names, multiplied by a factor.
+
+    Covariances with rates stay the same, since a sudden change is no lasting drift. So does the variance of another combine's
+    monitor, which has not changed.
     """
     found, count = joint.copy(), len(names)
     factor = np.array([1.0 if name == BIAS else widening**0.5 for name in names])
@@ -223,9 +253,10 @@ def widened(joint: Array, names: Sequence[str], widening: float) -> Array:
 
 
 def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingParameters:
-    """The same rates where the parameters have been moved by something other than time (moisture): errors go along with values.
+    """The same rates with parameters that were changed by something other than time, such as moisture. Errors are scaled with the
+    values.
 
-    Raises ValueError when the covariances are not of the same names.
+    Raises ValueError if the covariances have different names.
     """
     if parameters is known.parameters:
         return known
@@ -240,10 +271,21 @@ def carried(known: DriftingParameters, parameters: ParameterSet) -> DriftingPara
 
 
 def updated(known: DriftingParameters, posterior: ParameterSet, *, widening: float = 1.0) -> DriftingParameters:
-    """After an update whose prior was `known.parameters`: the rates follow by their covariance with the parameters.
+    """The state after an update of its parameters. The rates change by their covariance with the parameters.
 
-    widening: what the update multiplied the parameters' prior covariance by (`Outcome.prior_widening`). Raises ValueError when
-    the posterior is of other parameters.
+    Parameters
+    ----------
+    known : DriftingParameters
+        State before; its parameters were the update's prior.
+    posterior : ParameterSet
+        Parameters after the update.
+    widening : float
+        Factor on the parameters' prior covariance in the update (`Outcome.prior_widening`).
+
+    Raises
+    ------
+    ValueError
+        If the posterior has other parameters.
     """
     names = known.parameters.covariance_names
     if posterior.covariance_names != names:
@@ -261,9 +303,9 @@ def updated(known: DriftingParameters, posterior: ParameterSet, *, widening: flo
 
 
 def smoothed(steps: Sequence[Advance], last: DriftingParameters) -> list[Mapping[str, float]]:
-    """Parameter values at the beginning of each step, as all updates up to `last` have them; and `last`'s own at the end.
+    """Parameter values at the beginning of each step, given all updates up to `last`; the last entry is `last`'s own values.
 
-    steps: all of one run, in order. Fixed-interval smoother; an update between two steps is what changed the state between them.
+    Fixed-interval smoother. steps: all of one run, in order. Between two steps the state changes by an update.
     """
     names = last.parameters.covariance_names
     state = last.state
@@ -275,7 +317,7 @@ def smoothed(steps: Sequence[Advance], last: DriftingParameters) -> list[Mapping
 
 
 def smoothed_covariances(steps: Sequence[Advance], last: DriftingParameters) -> list[Array]:
-    """Covariances of the parameters (n, n) beside the values of `smoothed`."""
+    """Covariances (n, n) of the parameter values that `smoothed` returns."""
     count, joint = len(last.parameters.covariance_names), last.joint
     found = [joint[:count, :count]]
     for step in reversed(steps):

@@ -1,8 +1,7 @@
-"""Sweeps reduced to flows: the flow at each window of a sweep, from the visits home around it.
+"""Flow at each window of a sweep, interpolated between the visits home before and after it (`home_flow`).
 
-What the daemon's test of the model and the table for a diagnosis both rest on. The flow away from home is never made of the force
-there: it is that of the visits home before and after (`home_flow`).
-"""
+The force away from home is not used for it. The daemon's test of the model and the table for a diagnosis are based on these
+flows."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ from .home_flow import Visits, bracketed, wander_per_s
 class SweepWindows:
     """Windows of one sweep with a force above 0 and a known angle and speed, arrays (windows,).
 
-    relative_sd: of the force. moisture_pct: the sweep's, nan where not known.
+    relative_sd: relative standard deviation of the force. moisture_pct: of the whole sweep, nan if it is not known.
     """
 
     time_s: Array
@@ -42,7 +41,8 @@ class SweepWindows:
 
 @dataclass(frozen=True, slots=True)
 class WindowFlows:
-    """Logarithm of the flow (kg/s) at each window and its sd, arrays (windows,), nan where no visits bracket it; the visits."""
+    """ln(flow, kg/s) at each window and its standard deviation, arrays (windows,), nan if not between two visits; and the
+    visits."""
 
     log_flow: Array
     sd: Array
@@ -50,7 +50,7 @@ class WindowFlows:
 
 
 def window_flows(model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[SweepWindows]) -> list[WindowFlows]:
-    """Flows of sweeps, whose wander between visits is pooled; nan where the model needs a moisture that is not known."""
+    """Flows of sweeps. The random walk between visits is estimated over all sweeps. nan if a required moisture is not known."""
     loop = OpenLoop(model, parameters)
     homes = [sweep.at_home(model.machine.home_plate_angle_rad) for sweep in sweeps]
     visits = []
@@ -75,7 +75,7 @@ def force_n(
     mass_flow_kg_s: Array | float,
     moisture_pct: Array | float,
 ) -> Array:
-    """The model's force at each angle; nan beyond a full paddle."""
+    """The model's force at each angle, N; nan above a full paddle."""
     shape = plate_angle_rad.shape
     conditions = Conditions(
         plate_angle_rad,

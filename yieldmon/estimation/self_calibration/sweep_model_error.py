@@ -1,13 +1,15 @@
-"""How far the model's force may be off at the home angle, from how far it is off at the angles of sweeps.
+"""Error of the model's force at the home angle, estimated from its error at the angles of sweeps.
 
-A sweep shows the model's error against that at home; the error at home itself the flow absorbs. But an effect that changes the
-force over the angle changes it at home as well. So the pattern that the sweeps show is held against that of each effect of the
-library, of a size that is likely (normal, its typical size as standard deviation), and against no effect at all; what they would
-change at home, each by its probability, is the error that is to be expected there. Nothing is named or corrected at home by it.
-Effects that act on the scale more than on the pattern (slip, wear, air drag) are not among them: a weighed mass shows those.
+A sweep measures the model's error relative to that at home, since the error at home is absorbed by the flow. But an effect that
+changes the force over the angle also changes it at home. Therefore the pattern of errors over the angle is compared with that of
+each effect of the library, with a normal prior of its size (typical size as standard deviation), and with no missing effect. The
+expected error at home is the average of what these effects change there, weighted by their probabilities. No effect is named, and
+the flow at home is not corrected. Effects that change the scale more than the pattern (slip, wear, air drag) are excluded, since
+a weighed mass measures those.
 
-Against home the error away from it is measured, whatever its cause. Where it is likelier than not that something is missing, its
-expectation is what can be taken off the flow there, and what is left unsure about it is stated.
+Away from home the error relative to home is measured, whatever its cause. If an effect is more likely missing than not, the flow
+away from home is corrected by the expected error, and the remaining uncertainty is stated.
+
 Source: Bayesian model averaging, Hoeting et al., Statistical Science 14 (1999) 382.
 """
 
@@ -33,15 +35,16 @@ from .misfit import ReducedSweep
 from .sweep_flow import force_n
 
 _NONE = 0.5
-"""Probability, before any sweep, that no effect is missing."""
+"""Prior probability that no effect is missing."""
 _TAKEN_OFF = 0.5
-"""Probability that no effect is missing, below which what sweeps have measured away from home is taken off the flow there."""
+"""Probability of no missing effect below which the flow away from home is corrected."""
 _LAW_ERROR = 0.1
-"""By which a law of the library misses the effect that it stands for, as a share of it."""
+"""Relative error of an effect's law in the library."""
 _LEAST_PATTERN = 0.5
-"""The rms of an effect's pattern over what it changes at home, below which it acts on the scale."""
+"""Ratio of an effect's rms change over the angle to its change at home below which it is excluded."""
 _NOT_HIDDEN = ("angle_pattern", "load_pattern", "moisture_dependence")
-"""Effects that stand for no cause, or for one that is seen elsewhere. The stop-gap stays: a small error that nothing explains."""
+"""Effects without a cause of their own, or whose cause is measured otherwise. The stop-gap is kept as an unexplained small
+error."""
 _MIDDLE = (400.0 * RPM, 10.0, 15.0)
 """Elevator speed, rad/s, flow, kg/s, and moisture, %, used where the calibrated range of the parameters is unknown."""
 _BITS = 7
@@ -50,8 +53,16 @@ _NO_MOMENT = np.zeros((NODES_RAD.size, NODES_RAD.size))
 
 @dataclass(frozen=True, slots=True)
 class _Pattern:
-    """What sweeps show at angles away from home, (n,): ln of the model's force over the measured one, against that at home.
-    covariance: (n, n), noise and the parameters' own."""
+    """Errors of the model at angles away from home.
+
+    Attributes
+    ----------
+    plate_angle_rad : ndarray (n,)
+    error : ndarray (n,)
+        ln(model force / measured force) relative to home.
+    covariance : ndarray (n, n)
+        By noise and the parameters.
+    """
 
     plate_angle_rad: Array
     error: Array
@@ -59,7 +70,7 @@ class _Pattern:
 
 
 def unswept_error(model: ForwardModel, parameters: ParameterSet, plate_angle_rad: Sequence[float] | Array) -> AngleError:
-    """The model's error that the first sweep may show: what `model_error` weighs the sweep's pattern with, before it.
+    """Expected model error before the first sweep, with the same priors as `model_error`.
 
     Parameters
     ----------
@@ -67,23 +78,23 @@ def unswept_error(model: ForwardModel, parameters: ParameterSet, plate_angle_rad
         With the parameters' effects.
     parameters : ParameterSet
     plate_angle_rad : array_like
-        That the sweep visits: effects of which it shows too little there are not among those that it may show.
+        Angles of the sweep. Effects that change the force too little over these angles are excluded.
 
     Returns
     -------
     AngleError
-        In the middle of what the parameters were calibrated over, at values within 0.8 % of the parameters'.
+        In the middle of the calibrated range, with parameter values rounded within 0.8 %.
     """
     away = {angle for angle in map(float, plate_angle_rad) if abs(angle - model.machine.home_plate_angle_rad) > SAME_ANGLE_RAD}
     if not away:
         return NO_ERROR
-    # The same at each start, reload and crop's return, nearly the same after each weighed mass, and a fortieth of a second.
+    # Cached by rounded values: it takes 25 ms, and hardly changes over restarts, reloads, crops and weighed masses.
     values = tuple((name, _nearby(value)) for name, value in parameters.values.items())
     return _unswept_error(model.machine, model.nodes, values, parameters.calibrated, tuple(sorted(away)), *_missing(parameters))
 
 
 def _nearby(value: float) -> float:
-    """The value to seven bits, within 0.8 %, which moves the error that a first sweep may show by about 1 % at most."""
+    """The value rounded to seven bits (within 0.8 %), which changes the expected error by about 1 % at most."""
     mantissa, exponent = frexp(value)
     return ldexp(round(2.0**_BITS * mantissa), exponent - _BITS)
 
@@ -112,23 +123,23 @@ def _unswept_error(
 def model_error(
     model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], *, tolerance: float = 0.0
 ) -> AngleError:
-    """The model's error by what sweeps show.
+    """The model's error, given sweeps.
 
     Parameters
     ----------
     model : ForwardModel
         With the parameters' effects.
     parameters : ParameterSet
-        In use; what their covariance explains of the pattern is no error of the model.
+        In use. A pattern within their covariance is not counted as an error of the model.
     sweeps : sequence of ReducedSweep
-        Whole sweeps; one whose moisture the model needs and that has none is passed over.
+        Complete sweeps. Those without a moisture are skipped if the model needs one.
     tolerance : float
-        Relative error at each angle, standard deviation, that is tolerated.
+        Standard deviation of a tolerated relative error at each angle.
 
     Returns
     -------
     AngleError
-        With what one cause changes at all angles in common: at home, and at the angles of the sweep.
+        With the correlation between angles that each cause produces.
     """
     known = [s.measured_by(model, parameters) for s in sweeps if not model.needs_moisture or np.isfinite(s.moisture_pct)]
     pattern = _shared_pattern(model, parameters, known, tolerance)
@@ -155,7 +166,7 @@ def model_error(
 
 @dataclass(frozen=True, slots=True)
 class _Nodes:
-    """Error at the nodes if a cause is there, (nodes,), and its covariance. away: of it what sweeps measure against home."""
+    """Error at the nodes given one cause, (nodes,), its covariance, and `away`, the part relative to home that sweeps measure."""
 
     error: Array
     covariance: Array
@@ -168,7 +179,7 @@ def _at_nodes(pattern: _Pattern, cause: _Cause, home_rad: float) -> _Nodes:
     noise = np.where(beyond == 0.0, 0.0, np.sqrt(np.diag(pattern.covariance)))
     seen = _interpolated(pattern, beyond, home_rad)
     against_home = size * (at_nodes - np.interp(home_rad, NODES_RAD, at_nodes))
-    # Nothing at home, also where it lies between two nodes, and nothing beyond the angles that have been visited.
+    # 0 at home, also if it lies between two nodes, and beyond the visited angles.
     angles = np.append(pattern.plate_angle_rad, home_rad)
     within = np.abs(NODES_RAD - 0.5 * (angles.max() + angles.min())) < 0.5 * np.ptp(angles) + SAME_ANGLE_RAD
     away = np.where(within, against_home + seen, 0.0)
@@ -180,7 +191,8 @@ def _at_nodes(pattern: _Pattern, cause: _Cause, home_rad: float) -> _Nodes:
 
 
 def _taken_off(share: Array, causes: Sequence[_Nodes], home_rad: float) -> AngleError:
-    """The error that is left when what is expected away from home is taken off. share: probability of no cause, and of each."""
+    """The error after correction of the flow by the expected error away from home. share: probability of no cause, and of
+    each."""
     away = np.sum([part * cause.away for part, cause in zip(share[1:], causes, strict=True)], axis=0)
     expected, moments = -share[0] * away, share[0] * np.outer(away, away)
     for part, cause in zip(share[1:], causes, strict=True):
@@ -191,7 +203,7 @@ def _taken_off(share: Array, causes: Sequence[_Nodes], home_rad: float) -> Angle
 
 
 def _interpolated(pattern: _Pattern, values: Array, home_rad: float) -> Array:
-    """Values at the pattern's angles, 0 at home, at the nodes."""
+    """Values at the pattern's angles, and 0 at home, interpolated at the nodes."""
     angles = np.append(pattern.plate_angle_rad, home_rad)
     order = np.argsort(angles)
     found: Array = np.interp(NODES_RAD, angles[order], np.append(values, 0.0)[order])
@@ -200,8 +212,16 @@ def _interpolated(pattern: _Pattern, values: Array, home_rad: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """By how much an effect of its typical size changes ln of the force: at the nodes, and at some angles against home.
-    one_sided: it acts in this direction alone."""
+    """Change of ln(force) by an effect of typical size.
+
+    Attributes
+    ----------
+    at_nodes : ndarray (nodes,)
+    pattern : ndarray (n,)
+        At the angles of the sweep, relative to home.
+    one_sided : bool
+        Whether the effect can have this sign only.
+    """
 
     at_nodes: Array
     pattern: Array
@@ -210,8 +230,16 @@ class _Change:
 
 @dataclass(frozen=True, slots=True)
 class _Cause:
-    """What sweeps say of the size of a change that may be missing, mean and mean square, and ln of the density of what they
-    show."""
+    """Posterior of the size of a possibly missing effect.
+
+    Attributes
+    ----------
+    change : _Change
+    size, square : float
+        Mean and mean square of the size, relative to the typical one.
+    log_density : float
+        ln of the likelihood of the sweeps with this effect, but for a constant.
+    """
 
     change: _Change
     size: float
@@ -220,8 +248,10 @@ class _Cause:
 
 
 def _changes(model: ForwardModel, parameters: ParameterSet, away_rad: Array, at: Sequence[float]) -> list[_Change]:
-    """Of the effects that change the force over the angle at least half as much as at home. away_rad: angles away from home;
-    at: elevator speed, flow and moisture."""
+    """Changes by the missing effects that change the force over the angle at least half as much as at home.
+
+    away_rad: angles away from home. at: elevator speed, rad/s, flow, kg/s, and moisture, %.
+    """
     count = away_rad.size
     angles = np.concatenate((away_rad, [model.machine.home_plate_angle_rad], NODES_RAD))
     without = np.log(force_n(model, parameters.values, angles, *at))
@@ -255,7 +285,7 @@ def _cause(seen: _Pattern, change: _Change) -> _Cause:
     density = _log_density(seen.error, noise + np.outer(shape, shape))
     if not change.one_sided:
         return _Cause(change, size, square, density)
-    # An effect that acts in one direction alone: the normal distribution cut off at 0.
+    # For an effect of one sign: the normal distribution truncated at 0.
     root = float(np.sqrt(information))
     log_share = float(log_ndtr(size * root))
     by = float(np.exp(-0.5 * (size * root) ** 2 - 0.5 * np.log(2.0 * np.pi) - log_share)) / root
@@ -271,7 +301,7 @@ def _count(parameters: ParameterSet) -> int:
 
 
 def _beyond_noise(values: Array, covariance: Array) -> Array:
-    """What is left of each value when its noise is taken off its square."""
+    """Each value with its noise variance subtracted from its square."""
     return np.sign(values) * np.sqrt(np.maximum(values**2 - np.diag(covariance), 0.0))
 
 
@@ -280,14 +310,14 @@ def _rms(values: Array) -> float:
 
 
 def _log_density(error: Array, covariance: Array) -> float:
-    """Of a normal distribution about 0, but for a constant."""
+    """ln of the density of a normal distribution about 0, but for a constant."""
     return float(-0.5 * (error @ np.linalg.solve(covariance, error) + np.linalg.slogdet(covariance)[1]))
 
 
 def _shared_pattern(
     model: ForwardModel, parameters: ParameterSet, sweeps: Sequence[ReducedSweep], tolerance: float
 ) -> _Pattern | None:
-    """The sweeps' patterns as one, averaged at each angle; None where they have no angle away from home."""
+    """The sweeps' mean pattern; None if they have no angle away from home."""
     parts = [part for sweep in sweeps if (part := _pattern(model, parameters, sweep)) is not None]
     if not parts:
         return None
@@ -306,8 +336,15 @@ def _shared_pattern(
 
 
 def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep) -> tuple[Array, Array, Array, Array] | None:
-    """Of the angles away from home: angle, ln of the model's force over the measured one against that at home, its sd, and its
-    derivatives by the parameters of the covariance, (n, p); None where there are none."""
+    """Error of the model at one sweep's angles away from home; None if there are none.
+
+    Returns
+    -------
+    ndarray (n,), ndarray (n,), ndarray (n,)
+        Plate angle, rad; ln(model force / measured force) relative to home; its standard deviation.
+    ndarray (n, p)
+        Its derivatives with respect to the parameters of the covariance.
+    """
     home_rad = model.machine.home_plate_angle_rad
     away = np.abs(sweep.plate_angle_rad - home_rad) > SAME_ANGLE_RAD
     angles = np.append(sweep.plate_angle_rad[away], home_rad)
@@ -326,7 +363,7 @@ def _pattern(model: ForwardModel, parameters: ParameterSet, sweep: ReducedSweep)
         if step > 0.0:
             with np.errstate(invalid="ignore"):
                 slopes[:, k] = (log_force({**values, name: values[name] + step}) - here) / step
-    # A sweep's forces stand for its flow at home by the same parameters, so that the error at home is 0.
+    # A sweep's flow at home is measured with the same parameters, so that the error at home is 0.
     error, sd = here[:-1] - sweep.log_force[away], sweep.sd[away]
     against_home = slopes[:-1] - slopes[-1]
     good = np.isfinite(error) & np.isfinite(sd) & (sd > 0.0) & np.all(np.isfinite(against_home), axis=1)

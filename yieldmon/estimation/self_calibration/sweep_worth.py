@@ -1,8 +1,9 @@
 """Expected benefit of a sweep: the standard deviation of the flow after a sweep, and after the same time at home.
 
-Linear about the parameters in use, as the closed loop reads a sweep: a flow that wanders, the model's error once for each plate
-angle, and only what `partial_update.determined_part` would take. The flow of the same sweep is not known and counts for nothing.
-What a mean force at home leaves open is then the parameters' part of the flow; the pulses' shape and kernel noise narrow it.
+The sweep is linearised about the parameters in use and evaluated as in the closed loop: with a varying flow, one model error for
+each plate angle, and only the part of the update that `partial_update.determined_part` keeps. The flow during the sweep is
+unknown. The flow at home is then computed from the mean force, with the parameters' uncertainty, and from the pulses' shape and
+kernel noise.
 
 Source: expected information of an experiment, Lindley, Ann. Math. Statist. 27 (1956).
 """
@@ -30,18 +31,26 @@ from .partial_update import determined_part
 _UNKNOWN_FLOW = 1e2
 """Prior variance of ln(flow), so large that the prior has no effect."""
 _MOVING_S = 2.0
-"""Of the plate from one stop to the next, until its feedback and the signal have settled, about."""
+"""Approximate time of the plate from one stop to the next, until its feedback and the signal have settled."""
 _LEAST_SD = 1e-3
-"""Relative, of a mean force or of a channel."""
+"""Least relative standard deviation of a mean force or a channel."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepPlan:
-    """A sweep that could be made, and the harvesting in which it would be made.
+    """A possible sweep and the present harvesting conditions.
 
-    time_s, plate_angle_rad: of its windows, (m,). home_angle_rad: of the plate while harvesting. elevator_speed_rad_s,
-    mass_flow_kg_s: as they are now. noise_sd: relative standard deviation of one window's mean force. moisture_pct: nan where
-    it is not known.
+    Attributes
+    ----------
+    time_s, plate_angle_rad : ndarray (m,)
+        Of its windows.
+    home_angle_rad : float
+    elevator_speed_rad_s, mass_flow_kg_s : float
+        Present values.
+    noise_sd : float
+        Relative standard deviation of one window's mean force.
+    moisture_pct : float
+        nan if it is not known.
     """
 
     time_s: Array
@@ -55,10 +64,16 @@ class SweepPlan:
 
 @dataclass(frozen=True, slots=True)
 class OtherChannels:
-    """What gives the flow at home beside the mean force: relative standard deviations of what lasts, inf where there is none.
+    """Other measurements of the flow at home than the mean force.
 
-    shape_sd: of the volume flow by the pulses' shape. kernels_sd: of the flow by kernel noise, its bias's. kernels_cross:
-    covariance of the bias's logarithm with the parameters, in the order of their covariance; empty: none.
+    Attributes
+    ----------
+    shape_sd : float
+        Relative standard deviation of the volume flow from the pulses' shape, without what averages out; inf if there is none.
+    kernels_sd : float
+        Relative standard deviation of the bias of the flow from kernel noise; inf if there is none.
+    kernels_cross : tuple of float
+        Covariance of that bias's logarithm with the parameters, in the order of their covariance; () if there is none.
     """
 
     shape_sd: float = inf
@@ -68,19 +83,19 @@ class OtherChannels:
 
 @dataclass(frozen=True, slots=True)
 class SweepWorth:
-    """Relative standard deviation of the flow at home after the plan's time at home, and after its sweep."""
+    """Relative standard deviation of the flow at home after the plan's duration at home, and after its sweep."""
 
     at_home_sd: float
     with_sweep_sd: float
 
     @property
     def ratio(self) -> float:
-        """Ratio of the first to the second."""
+        """at_home_sd / with_sweep_sd."""
         return self.at_home_sd / self.with_sweep_sd
 
 
 def window_times_s(stops: Sequence[float]) -> Array:
-    """Of the windows of 1 s of a sweep that stops at these angles, one for each window, the plate's movements between."""
+    """Times of the 1 s windows of a sweep, s. stops: plate angle of each window; between different angles the plate moves."""
     moved = np.concatenate(([0.0], (np.diff(stops) != 0.0) * _MOVING_S))
     return np.asarray(np.cumsum(1.0 + moved))
 
@@ -88,23 +103,23 @@ def window_times_s(stops: Sequence[float]) -> Array:
 def sweep_worth(
     model: ForwardModel, known: ParameterSet, plan: SweepPlan, channels: OtherChannels, settings: ClosedLoopSettings
 ) -> SweepWorth | None:
-    """What a sweep is worth.
+    """Compute the benefit of a sweep.
 
     Parameters
     ----------
     model : ForwardModel
     known : ParameterSet
-        As they are now, with the model's error as a pattern where one is looked for.
+        Present parameters, with the effect `angle_pattern` if it is estimated.
     plan : SweepPlan
     channels : OtherChannels
-        Counted in both cases.
+        Used both with and without the sweep.
     settings : ClosedLoopSettings
-        How the sweep would be read.
+        With which the sweep would be evaluated.
 
     Returns
     -------
     SweepWorth or None
-        None where the parameters have no variance, or the model no force there.
+        None if the parameters have no variance, or the model gives no force at these conditions.
     """
     prior = Prior.of(known)
     names = prior.names
@@ -129,7 +144,7 @@ def sweep_worth(
 
 
 def _information(plan: SweepPlan, slopes: Array, exponents: Array, settings: ClosedLoopSettings) -> Array:
-    """Of the parameters (n, n) from ln(force) of the sweep's windows, the flow's level unknown."""
+    """Information of ln(force) of the sweep's windows on the parameters, (n, n), with the flow's level eliminated."""
     group = cluster(plan.plate_angle_rad, SAME_ANGLE_RAD)
     same_angle = group[:, None] == group
     spread = plan.noise_sd**2 * np.eye(exponents.size) + settings.model_error**2 * same_angle
@@ -147,9 +162,10 @@ def _information(plan: SweepPlan, slopes: Array, exponents: Array, settings: Clo
 
 
 def _flow_sd(prior: Prior, after: Array, mean_force: Array, plan: SweepPlan, channels: OtherChannels) -> float:
-    """Of ln(flow) at home, the parameters' covariance being `after`, which the bias of kernels follows.
+    """Standard deviation of ln(flow) at home with a covariance of the parameters.
 
-    mean_force: (n + 2,) derivatives of its logarithm by ln(flow), parameters and bias.
+    after: covariance of the parameters, (n, n); the bias of kernel noise is updated with it. mean_force: derivatives of ln(mean
+    force) with respect to ln(flow), parameters and bias, (n + 2,).
     """
     names, before, count = prior.names, prior.covariance, len(prior.names)
     states = np.zeros((count + 2, count + 2))
