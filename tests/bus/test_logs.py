@@ -554,7 +554,7 @@ def test_a_database_whose_data_are_no_bytes_is_read_as_far_as_they_are(tmp_path:
     assert len(read) == 6
     [told] = [str(note) for note in damage]
     assert told.startswith(f"{path}: frame 7")
-    assert "its data are no bytes" in told
+    assert "its data are not bytes" in told
 
 
 @pytest.mark.parametrize(

@@ -233,7 +233,7 @@ def test_what_is_no_file_in_a_manifest_does_not_stop_the_others(
     assert (code, document["done"]) == (1, 1)
     said = [item["problem"].partition("fleet.csv: ")[2] for item in document["poisoned"]]
     assert said == [
-        f"line {line}, log: {name}.log is no file; expected a log" for line, name in ((3, "pipe"), (4, "loop"), (5, "folder"))
+        f"line {line}, log: {name}.log is not a file; expected a log" for line, name in ((3, "pipe"), (4, "loop"), (5, "folder"))
     ]
 
 

@@ -202,7 +202,7 @@ def test_a_command_that_the_engine_has_begun_is_not_waited_for_without_end() -> 
     """Whoever asked is told that it may be done; an answer that never came would keep another's place."""
     begun: list[Job] = []
     queued = CommandQueue(timeout_s=0.01, wake=lambda: begun.extend(queued.take()))
-    with pytest.raises(ControlError, match="may be done all the same: see `yieldmon status`"):
+    with pytest.raises(ControlError, match="it may still be done: check `yieldmon status`"):
         queued.ask({"command": "load-start"})
     assert [job.request for job in begun] == [{"command": "load-start"}]
 

@@ -195,7 +195,7 @@ def test_what_cannot_be_used_gets_one_line(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (["{store}", "--sweeps", "0"], "--sweeps: is 0; expected at least 1"),
+        (["{store}", "--sweeps", "0"], "--sweeps: is 0; expected a whole number from 1"),
         (["{csv}", "--sweeps", "3"], "is not a store"),
         (["{csv}", "--table", "t.csv"], "is not a store"),
     ],

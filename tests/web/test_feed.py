@@ -232,11 +232,11 @@ def test_a_look_that_hangs_is_reported_to_open_pages(daemon: StandIn, monkeypatc
             assert "event: alive" in await anext(events)
             ahead_s[0] = 60.0
             reported = await next_event(events)
-            assert reported["problem"].startswith("this page's look at the daemon and its store has been taking 6")
+            assert reported["problem"].startswith("this page has been waiting for the daemon and its store for 6")
             gate.set()
             async with asyncio.timeout(60.0):
                 while (event := await next_event(events))["problem"] is not None:
-                    assert event["problem"].startswith("this page's look")
+                    assert event["problem"].startswith("this page has been waiting")
 
     asyncio.run(drive())
 
