@@ -178,7 +178,7 @@ MISTAKES = {
     "monitor log.log --once --speed nan": "--speed: is nan; expected a number of at least 0",
     "simulate --scenario folder --log n.log": "folder: Is a directory; expected a readable YAML file",
     "simulate --scenario diary.txt --log n.log": "diary.txt: is not a mapping of keys; expected keys such as duration_s and",
-    "simulate --scenario scenario.yaml --log folder": '--log folder: No write support for unknown log format ""; expected a format',
+    "simulate --scenario scenario.yaml --log folder": "folder: is a folder; expected the name of a file to write",
     "simulate --scenario scenario.yaml --log nowhere/n.log": "nowhere/n.log: there is no folder",
     "simulate --scenario scenario.yaml": "bus: no CAN interface named; expected -i INTERFACE -c CHANNEL as python-can's",
     "simulate --scenario scenario.yaml --log n.log --duration -5": "--duration: is -5; expected 1 to 400000 s",

@@ -401,6 +401,17 @@ def test_task_data_as_a_folder(exported):
     assert sorted(path.name for path in (folder / "TASKDATA").iterdir()) == ["TASKDATA.XML", "TLG00001.bin", "TLG00001.xml"]
 
 
+def test_no_part_of_task_data_is_left_on_a_full_medium(folder, exported, capsys):
+    """A TASKDATA.XML was left that names a log which is not there."""
+    card = exported("card", "--format", "taskdata", *WORDS)
+    before = {path.name: path.read_bytes() for path in (card / "TASKDATA").iterdir()}
+    words = ["export", str(folder / "r.csv"), "--out", str(card), "--format", "taskdata", "--force", "--field", "x" * 30, *WORDS]
+    with files_end_at(max(map(len, before.values())) - 1):
+        assert cli.main(words) == 1
+    assert f"\nyieldmon: {card / 'TASKDATA'}: File too large" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in (card / "TASKDATA").iterdir()} == before
+
+
 WRONG = [
     (["r.csv", "--out", "x.kml"], "yieldmon: --out: is x.kml; expected a name that ends in one of "),
     (["r.csv", "--out", "x.geojson"], "yieldmon: --swath: is missing; expected the working width in m"),

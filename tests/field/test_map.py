@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.file_limit import files_end_at
 from tests.in_process import program
 from tests.schema_check import problems
 from tests.seconds import measured_second
@@ -415,6 +416,19 @@ def test_a_rule_that_is_off_gives_no_reason(tmp_path: Path, capsys: pytest.Captu
     off = mapped(capsys, tmp_path / "b", path, "--products", "none", "--without", "local outlier", "--without", "pass start")
     assert not {"local outlier", "pass start"} & set(off["points_by_reason"])
     assert off["points_by_reason"]["kept"] >= on["points_by_reason"]["kept"]
+
+
+def test_a_map_that_cannot_be_written_leaves_the_earlier_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It left new points beside the other files of the map before."""
+    path, out = tmp_path / "field.txt", tmp_path / "out"
+    ag_leader(path, delay_s=9, seed=7, passes=12)
+    words = ["map", str(path), "--out", str(out), "--products", "csv,agleader,taskdata"]
+    assert cli.main(words) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with files_end_at(len(before["points.csv"]) + 10_000):
+        assert cli.main([*words[:-1], "csv,geopackage", "--width", "3"]) == 1
+    assert f"{out / 'harvest.gpkg'}: " in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_every_product_is_written(corn_map: tuple[Path, dict[str, Any]]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from yieldmon.errors import InputError
-from yieldmon.files.whole_file import noting_free_names, scratch_for
+from yieldmon.files.whole_file import noting_free_names, scratch_folder_for, scratch_for
 
 
 @pytest.mark.parametrize("durable", [False, True])
@@ -143,3 +143,31 @@ def test_what_was_there_when_the_command_began_and_its_own_file_are_replaced(tmp
         later.write_text("of whoever was first")
     assert [path.read_text() for path in (old, new, later)] == ["ours"] * 3
     assert len(os.listdir(tmp_path)) == 3
+
+
+def test_files_of_a_folder_take_their_names_together(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("old")
+    (tmp_path / "a.csv").chmod(0o600)
+    (tmp_path / "other.txt").write_text("other")
+    with scratch_folder_for(tmp_path, ["a.csv", "b.csv"]) as scratch:
+        for name in ("a.csv", "b.csv"):
+            (scratch / name).write_text("new")
+        assert (tmp_path / "a.csv").read_text() == "old"
+    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert found == {"a.csv": "new", "b.csv": "new", "other.txt": "other"}
+    assert (tmp_path / "a.csv").stat().st_mode & 0o777 == 0o600
+
+
+def test_no_file_of_a_folder_is_replaced_where_one_fails(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("old")
+
+    def write() -> None:
+        with scratch_folder_for(tmp_path, ["a.csv", "b.csv"]) as scratch:
+            (scratch / "a.csv").write_text("new")
+            (scratch / "b.csv").mkdir()
+            (scratch / "b.csv").write_text("new")
+
+    with pytest.raises(IsADirectoryError) as caught:
+        write()
+    assert caught.value.filename == str(tmp_path / "b.csv")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "old"}

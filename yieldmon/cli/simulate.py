@@ -8,8 +8,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 
 import can
 
@@ -22,7 +21,7 @@ from yieldmon.cli import _named_files, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import whole_number, within
 from yieldmon.documents.simulate import SimulationDocument
-from yieldmon.errors import NO_ROOM, OF_THE_MEDIUM, InputError
+from yieldmon.errors import InputError
 from yieldmon.files import whole_file
 from yieldmon.plant import scenario as scenarios
 from yieldmon.plant.combine import BLOCK_S, VirtualCombine
@@ -91,28 +90,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:
-    with _gone_if_it_fails(args.log), ExitStack() as stack:
+    interrupted = None
+    with whole_file.scratch_for(args.log) as scratch, ExitStack() as stack:
         try:
-            writer = stack.enter_context(writing(args.log))
+            writer = stack.enter_context(writing(scratch))
         except ValueError as error:
             raise InputError(f"--log {args.log}", str(error), "a format of python-can") from None
-        for frame in combine.frames_until(combine.scenario.duration_s):
-            message = codec.encode(frame._replace(time_s=args.start_time + frame.time_s))
-            message.channel = "can0"
-            writer.on_message_received(message)
-            counts[frame.message] += 1
-
-
-@contextmanager
-def _gone_if_it_fails(log: str) -> Iterator[None]:
-    """No part of a log is left where it cannot be written to its end; that of one that is interrupted is kept, which is said."""
-    try:
-        yield
-    except OSError as error:
-        target = whole_file.real_path(log)
-        if error.errno not in OF_THE_MEDIUM - NO_ROOM and target.is_file():
-            target.unlink()
-        raise
+        try:
+            for frame in combine.frames_until(combine.scenario.duration_s):
+                message = codec.encode(frame._replace(time_s=args.start_time + frame.time_s))
+                message.channel = "can0"
+                writer.on_message_received(message)
+                counts[frame.message] += 1
+        except KeyboardInterrupt as interrupt:
+            # The part that is written is kept, which is said.
+            interrupted = interrupt
+    if interrupted is not None:
+        raise interrupted
 
 
 def _drive_bus(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, counts: Counter[str]) -> None:

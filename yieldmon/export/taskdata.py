@@ -14,9 +14,9 @@ from pathlib import Path
 from yieldmon import data_dictionary as ddi
 from yieldmon import utc
 from yieldmon.errors import InputError
-from yieldmon.files import task_data, whole_file
+from yieldmon.files import task_data
 from yieldmon.files.plain_text import plain
-from yieldmon.files.whole_file import scratch_for
+from yieldmon.files.whole_file import scratch_folder_for, scratch_for
 
 from .points import YieldPoint
 
@@ -123,5 +123,6 @@ def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Ca
         return
     folder = path / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    for name, data in content.items():
-        whole_file.write(folder / name, data)
+    with scratch_folder_for(folder, content) as scratch:
+        for name, data in content.items():
+            (scratch / name).write_bytes(data)

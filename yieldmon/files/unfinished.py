@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -39,13 +39,15 @@ def held(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def remove_abandoned(target: Path) -> None:
+def remove_abandoned(target: Path, names: Collection[str] = ()) -> None:
     """Removes the folders of `make_folder` for a file in which nobody writes any more, and nothing else is.
 
     Parameters
     ----------
     target : Path
         The file, links followed.
+    names : collection of str
+        Of the files in such a folder; empty: the target's.
     """
     prefix = _prefix(target)
     try:
@@ -56,19 +58,19 @@ def remove_abandoned(target: Path) -> None:
         return
     for folder in folders:
         with suppress(OSError):
-            _remove(folder, target.name)
+            _remove(folder, frozenset(names or (target.name,)))
 
 
 def _prefix(target: Path) -> str:
     return f".{target.stem[:STEM]}{_MARK}"
 
 
-def _remove(folder: Path, name: str) -> None:
+def _remove(folder: Path, names: frozenset[str]) -> None:
     """Raises OSError where it is held, is no folder, or has just gone."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         state = os.fstat(descriptor)
-        if state.st_uid != os.geteuid() or time.time() - state.st_mtime < _YOUNG_S or set(os.listdir(descriptor)) - {name}:
+        if state.st_uid != os.geteuid() or time.time() - state.st_mtime < _YOUNG_S or set(os.listdir(descriptor)) - names:
             return
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder)

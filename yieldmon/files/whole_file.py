@@ -6,14 +6,14 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
 from yieldmon.errors import NO_ROOM, InputError, brief
-from yieldmon.files.unfinished import STEM, held, make_folder
+from yieldmon.files.unfinished import STEM, held, make_folder, remove_abandoned
 
 READABLE = 0o644
 """The mode of a file that the service reads as a user of its own, whatever the umask of whoever writes it."""
@@ -101,6 +101,32 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def scratch_folder_for(folder: Path, names: Collection[str]) -> Iterator[Path]:
+    """A folder to write several files to, inside one that exists; they take their names in that one at the end, and none does
+    when something fails. names: those that may be written. An OSError names the file in `folder`."""
+    first = folder / min(names)
+    remove_abandoned(first, names)
+    scratch = _private_folder(first, folder)
+    try:
+        with held(scratch):
+            yield scratch
+            for path in sorted(scratch.iterdir()):
+                target = real_path(folder / path.name)
+                check_place(target)
+                if target.exists():
+                    path.chmod(stat.S_IMODE(target.stat().st_mode))
+                path.replace(target)
+    except OSError as error:
+        if error.filename is None and error.errno in NO_ROOM:
+            error.filename = str(folder)
+        elif error.filename is not None and Path(str(error.filename)).parent == scratch:
+            error.filename = str(folder / Path(str(error.filename)).name)
+        raise
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from yieldmon.field.grid import block_means
+from yieldmon.files.whole_file import scratch_folder_for
 
 if TYPE_CHECKING:
     from yieldmon.field.harvest import HarvestMap  # which needs the extra `map`
@@ -40,19 +41,22 @@ FILES = {
 def write_products(
     folder: Path, result: HarvestMap, formats: Sequence[str], grid_m: float, progress: Callable[[str], None]
 ) -> list[Path]:
-    """Write the formats into a folder that exists, and return the files."""
+    """Write the formats into a folder that exists, all or none, and return the files."""
     mass = result.placed.mass_kg
     grid = block_means(
         result.table["longitude_deg"], result.table["latitude_deg"], mass, result.ground.area_m2, result.cleaned.kept, grid_m
     )
     written: list[Path] = []
-    for name in FORMATS:
-        if name in formats:
-            coarser = (
-                ""
-                if name != "geotiff" or grid.fits()
-                else f", in blocks over {grid_m:g} m: the fields lie too far apart for these"
-            )
-            progress(f"writing {name}{coarser}")
-            written += importlib.import_module(f"{__name__}.{name}").write(folder, result, grid)
-    return written
+    if not formats:
+        return written
+    with scratch_folder_for(folder, [file for name in formats for file in FILES[name]]) as scratch:
+        for name in FORMATS:
+            if name in formats:
+                coarser = (
+                    ""
+                    if name != "geotiff" or grid.fits()
+                    else f", in blocks over {grid_m:g} m: the fields lie too far apart for these"
+                )
+                progress(f"writing {name}{coarser}")
+                written += importlib.import_module(f"{__name__}.{name}").write(scratch, result, grid)
+    return [folder / path.name for path in written]
