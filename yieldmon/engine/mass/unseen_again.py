@@ -1,4 +1,4 @@
-"""What may have come unseen in seconds that are measured again with another zero."""
+"""Possible unmeasured mass in seconds whose flow is recomputed with another zero."""
 
 from __future__ import annotations
 
@@ -12,9 +12,25 @@ from yieldmon.engine.mass.unseen import UnseenChange, UnseenMass
 
 @dataclass(frozen=True, slots=True)
 class SecondAgain:
-    """A second as counted and as measured again. covered_s: of duration_s, 0 where nothing was measured; enough: its mean stands
-    for all of it. elevator_speed_rad_s: nan where it is not known, stands: too low to bring grain. before_kg_s, after_kg_s: flow
-    by the zero that is undone and by the one that is restored. hidden: the first of them took grain for an empty plate."""
+    """A second as it was counted, and as it is recomputed.
+
+    Attributes
+    ----------
+    load_number : int
+    duration_s : float
+    covered_s : float
+        Time with samples, at most `duration_s`; 0 if nothing was measured.
+    enough : bool
+        Whether the mean of the covered time is used for the whole second.
+    elevator_speed_rad_s : float
+        nan if it is not known.
+    stands : bool
+        Whether the elevator is too slow to bring grain.
+    before_kg_s, after_kg_s : float
+        Flow with the zero that is undone, and with the one that is restored.
+    hidden : bool
+        Whether the zero that is undone mistook grain for an empty plate, so that the second was not counted.
+    """
 
     load_number: int
     duration_s: float
@@ -28,20 +44,21 @@ class SecondAgain:
 
 
 def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[int, UnseenChange], UnseenMass]:
-    """Reckon for seconds in order, as `Loads.count` does from one to the next, what may have come unseen.
+    """Compute the possible unmeasured mass of successive seconds, as `Loads.count` does second by second.
 
     Parameters
     ----------
     seconds : sequence of SecondAgain
+        In order of time.
     open_load : int
-        Number of the load that is open after them, `NO_LOAD` for none.
+        Number of the load that is open after the last second; `NO_LOAD` for none.
 
     Returns
     -------
     dict of int to UnseenChange
         By load number.
     UnseenMass
-        As the last second leaves it, by the zero that is restored.
+        State after the last second, with the restored zero.
     """
     before, _ = _reckoned(seconds, [None if s.hidden else s.before_kg_s for s in seconds], open_load)
     after, since = _reckoned(seconds, [s.after_kg_s for s in seconds], open_load)
@@ -56,7 +73,8 @@ def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[i
 def _reckoned(
     seconds: Sequence[SecondAgain], rates: Sequence[float | None], open_load: int
 ) -> tuple[dict[int, float], UnseenMass]:
-    """rates: flow of each second, kg/s, None where a zero hid it."""
+    """Unmeasured mass by load number, kg, and the state after the last second. rates: flow of each second, kg/s; None if
+    hidden."""
     found: dict[int, float] = {}
     unseen, silences, number = UnseenMass(), _running(), NO_LOAD
     for second, rate in zip(seconds, rates, strict=True):
@@ -81,7 +99,7 @@ def _reckoned(
 
 
 def _running() -> Silences:
-    """After a second in which the elevator ran."""
+    """The state after a second in which the elevator ran."""
     silences = Silences()
     silences.lacks_nothing(1.0, None)
     return silences

@@ -1,4 +1,4 @@
-"""An arrival law from waves at known volume flows."""
+"""Calibration of an arrival law from waves at known volume flows."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ _TYPICAL_LOG_TAIL = float(np.log(0.004))
 
 @dataclass(frozen=True)
 class ArrivalPoint:
-    """How the pulses at one known volume flow arrive.
+    """Arrival of the pulses at one known volume flow.
 
     Attributes
     ----------
     features : ndarray (TERMS,)
+        Terms of the law at these conditions (`arrival_law.features`).
     found : ndarray (3,)
-        ln stretch, ln tail (s) and delay (s).
+        Fitted ln stretch, ln tail (s) and delay (s).
     fill, plate_angle_rad, elevator_speed_rad_s : float
     """
 
@@ -55,22 +56,22 @@ def arrival_point(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float
 
 
 def law_of(points: Sequence[ArrivalPoint], *, terms: int | Terms, indexed: bool = False) -> ArrivalLaw:
-    """The law that points follow, by least squares.
+    """Fit a law to points by least squares.
 
     Parameters
     ----------
     points : sequence
-        More than terms.
+        More points than free terms.
     terms : int or tuple
-        Which coefficients of stretch, tail and delay are free: so many of the first `ArrivalLaw` names, or their places.
-        One plate angle determines two.
+        Free coefficients of stretch, tail and delay: a number of the first terms of `ArrivalLaw`, or the indices for each. One
+        plate angle determines two.
     indexed : bool
         Whether the law has a delay.
 
     Returns
     -------
     ArrivalLaw
-        covariance from the residuals; fills, plate_angles_rad and elevator_speeds_rad_s those of the points.
+        `covariance` from the residuals; `fills`, `plate_angles_rad` and `elevator_speeds_rad_s` are the ranges of the points.
 
     Raises
     ------
@@ -100,7 +101,7 @@ def law_of(points: Sequence[ArrivalPoint], *, terms: int | Terms, indexed: bool 
 
 
 def _fitted_law(rows: Array, places: Sequence[int], target: Array) -> tuple[tuple[float, ...], Array]:
-    """Coefficients (TERMS,) of a law with some terms free, and its residuals (waves,) over the root of their degrees of freedom.
+    """Coefficients (TERMS,) of a law with some free terms, and its residuals (waves,) / sqrt(degrees of freedom).
 
     rows: (waves, TERMS), from `features`. target: (waves,).
     """
@@ -112,7 +113,7 @@ def _fitted_law(rows: Array, places: Sequence[int], target: Array) -> tuple[tupl
 
 
 def _at_flow(pulses: PulseModel, wave: PatternWave, volume_flow_m3_s: float) -> PulseEstimate:
-    """The fit with the flow held."""
+    """The fit with a fixed flow."""
     near = look_for_start(pulses, wave)
     begin = pulses.start(volume_flow_m3_s, shift_s=float(near[SHIFT]), log_gain=float(near[GAIN]))
     return estimate(pulses, wave, start=begin, centre=begin.copy())

@@ -1,7 +1,7 @@
-"""Arrivals near a point, from a second-order expansion that is worked out once for a cell of a grid.
+"""Arrivals near a point from a second-order expansion, which is computed once for each cell of a grid.
 
-Between one window and the next flow, friction, heap shape, speed and plate angle hardly move. A cell's expansion needs 31 throws
-and two to check it; an answer from it is two products of small matrices.
+Between successive windows flow, friction, heap shape, speed and plate angle hardly change. The expansion of a cell needs 31
+throws, and two to check it; its evaluation needs two products of small matrices.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from yieldmon.physics.pulse import Arrivals
 CELL = np.array([0.08, 0.2, 0.1, 0.04, 0.03])
 """Width of a cell: ln volume flow, ln friction, ln shape ratio, ln elevator speed, plate angle (rad)."""
 SHAPES = 3
-"""The first of them are fitted; speed and angle are given."""
+"""Number of the first ones, which are fitted; speed and angle are given."""
 _SIZE = CELL.size
 _PAIRS = [(i, j) for i in range(_SIZE) for j in range(i + 1, _SIZE)]
 _FIRST, _SECOND = np.array([i for i, _ in _PAIRS]), np.array([j for _, j in _PAIRS])
 _CELLS_KEPT = 256
 _LARGEST_ERROR = 1e-3
-"""Of the expansion at two corners of the cell: of the impulse, and of the arrival times in the pulse's standard deviations."""
+"""Largest error of an expansion at two corners of its cell: of the impulse, relative, and of arrival times in units of the
+pulse's standard deviation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expanded:
-    """Arrivals and their derivatives; arrays (4, ..., paddles, nodes), first the value, then one for each fitted parameter.
+    """Arrivals and their derivatives, arrays (4, ..., paddles, nodes): the value, then the derivative for each fitted parameter.
 
     Attributes
     ----------
@@ -43,21 +44,21 @@ class Expanded:
 
 @dataclass(frozen=True, slots=True)
 class _Cell:
-    """Value (n,), slopes (5, n) and bends (5, 5 n) of n quantities at a cell's centre."""
+    """Value (n,), first derivatives (5, n) and second derivatives (5, 5 n) of n quantities at a cell's centre."""
 
     value: Array
     slopes: Array
     bends: Array
 
     def at(self, moves: Array) -> tuple[Array, Array]:
-        """Values (m, n) and slopes (m, 5, n), moves (m, 5) away; each as if it were alone, to the last bit."""
+        """Values (m, n) and slopes (m, 5, n) at distances `moves` (m, 5). Each row is bit for bit independent of the others."""
         row = moves[:, None, :]
         slopes = self.slopes + (row @ self.bends).reshape(len(moves), *self.slopes.shape)
         return self.value + 0.5 * (row @ (self.slopes + slopes))[:, 0], slopes
 
 
 class ArrivalExpansions:
-    """Expansions by cell, the last few hundred kept.
+    """Expansions by cell; the last few hundred are kept.
 
     Parameters
     ----------
@@ -71,10 +72,20 @@ class ArrivalExpansions:
         self._shape: tuple[int, ...] = ()
 
     def at(self, points: Array) -> tuple[Expanded, Array]:
-        """Arrivals at points (m, 5), (4, p, paddles, nodes), and which (m,) of them are among the p.
+        """Arrivals at points.
 
-        Not those in whose cell the model is somewhere not smooth enough or without a value. An answer depends on its point alone,
-        not on what was asked before or beside it.
+        A result depends on its point alone, and not on other points or earlier calls.
+
+        Parameters
+        ----------
+        points : ndarray (m, 5)
+
+        Returns
+        -------
+        Expanded
+            Arrays (4, p, paddles, nodes), for the p points that have an expansion.
+        ndarray of bool (m,)
+            Which points these are. A point has none if the model in its cell is not smooth enough or not defined.
         """
         scaled = points / CELL
         places = np.rint(scaled)
@@ -103,7 +114,7 @@ class ArrivalExpansions:
         return found
 
     def _expansions(self, centres: Array) -> list[_Cell | None]:
-        """About centres (m, 5), whose throws are worked out together."""
+        """Expansions about centres (m, 5), with all throws computed in one call."""
         half = 0.5
         unit = half * np.eye(_SIZE)
         both = unit[_FIRST] + unit[_SECOND]
@@ -115,7 +126,8 @@ class ArrivalExpansions:
         return [self._expansion(of_cell, moves) for of_cell in values]
 
     def _expansion(self, values: Array, moves: Array) -> _Cell | None:
-        """Of impulse, middle and half width of all nodes, in widths of the cell from its centre."""
+        """Expansion of impulse, middle and half width of all nodes; distances in units of the cell's width. None if not
+        accurate."""
         if not np.all(np.isfinite(values)):
             return None
         half, n, m = 0.5, _SIZE, len(_PAIRS)
@@ -154,19 +166,19 @@ def spectrum_and_slopes(
         k.
     stretch : ndarray (pulses,)
     log_stretch_slopes : ndarray (n, pulses)
-        Derivatives of ln stretch by the n parameters, of which the first three are those of `parts`.
+        Derivatives of ln stretch with respect to n parameters, the first three of which are those of `parts`.
 
     Returns
     -------
     ndarray (1 + n, pulses, k)
-        Complex, N s: first the spectrum itself.
+        Complex, N s: the spectrum, then its derivatives.
     """
     impulse, middle, half = (_padded(v, len(log_stretch_slopes)) for v in (parts.impulse_n_s, parts.middle_s, parts.half_width_s))
     size = impulse[0].sum(axis=-1, keepdims=True)
     weight = impulse[0] / size
     mean = (weight * middle[0]).sum(axis=-1, keepdims=True)
     away, share = middle[0] - mean, impulse[1:] / size
-    # Of the mean arrival: from the parts' impulses and from their times.
+    # Derivatives of the mean arrival through impulses and times of the parts.
     mean_slopes = (share * away + weight * middle[1:]).sum(axis=-1, keepdims=True)
     factor, slopes = stretch[:, None], log_stretch_slopes[..., None]
     middle_slopes = mean_slopes + factor * (middle[1:] - mean_slopes + slopes * away)
@@ -176,7 +188,7 @@ def spectrum_and_slopes(
     turn_cos, turn_sin = _multiples(-base * (mean + factor * away), harmonics)
     width = base * (factor * half[0])
     wide_cos, wide_sin = _multiples(width, harmonics)
-    # sin(x) / x and its derivative; their series where the difference would drown in rounding.
+    # sin(x) / x and its derivative; for small x by their series, since differences would lose precision.
     spread = order[:, None] * width[:, None, :]
     thin = np.abs(spread) < 1e-4
     safe = np.where(thin, 1.0, spread)
@@ -192,7 +204,7 @@ def spectrum_and_slopes(
 
 
 def _multiples(angles: Array, count: int) -> tuple[Array, Array]:
-    """Cosine and sine (p, count, n) of 1 .. count times angles (p, n)."""
+    """Cosine and sine of 1 .. count times angles (p, n), each (p, count, n)."""
     cosine, sine = (np.empty((len(angles), count, angles.shape[1])) for _ in range(2))
     cosine[:, 0], sine[:, 0] = np.cos(angles), np.sin(angles)
     known = 1
@@ -206,12 +218,12 @@ def _multiples(angles: Array, count: int) -> tuple[Array, Array]:
 
 
 def _of_turns(cosine: Array, sine: Array, size: Array, rows: Array) -> AnyArray:
-    """Sums (p, k, m) over nodes of size (cosine + i sine), all (p, k, n), times rows (p, n, m)."""
+    """Sums over nodes of size * (cosine + i sine) * rows, (p, k, m). cosine, sine, size: (p, k, n); rows: (p, n, m)."""
     rows = np.ascontiguousarray(rows)
     return np.asarray((cosine * size) @ rows + 1j * ((sine * size) @ rows))
 
 
 def _padded(values: Array, parameters: int) -> Array:
-    """Zeros for the parameters that do not move the parts."""
+    """Values with zero derivatives appended for the parameters that do not change the parts."""
     more = np.zeros((1 + parameters - len(values), *values.shape[1:]))
     return np.concatenate((values, more))

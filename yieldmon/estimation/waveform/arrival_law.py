@@ -1,4 +1,4 @@
-"""When grain of a dense stream arrives at the plate: a law about the arrival along straight paths."""
+"""Arrival of a dense stream of grain at the plate, as a law relative to the arrival along straight paths."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import AnyArray, Array
 
 _LEAST_FILL = 0.02
-"""Load over a full paddle below which a law stays what it is there, as it does above 1."""
+"""Ratio of load to a full paddle below which a law is constant; it is also constant above 1."""
 BEYOND_FILL = 1.1
 BEYOND_SPEED = 1.1
 BEYOND_ANGLE_RAD = float(np.deg2rad(5.0))
 TERMS = 15
-"""Of an `ArrivalLaw`."""
+"""Number of terms of an `ArrivalLaw`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArrivalLaw:
-    """How a dense stream's arrival differs from that of straight paths, as a calibration found it.
+    """Difference of a dense stream's arrival from that along straight paths, from a calibration.
 
     ln stretch and ln tail are each a sum of coefficients times, in this order,
 
         1, x, c, xc, c^2, x^2, xc^2, x^2 c, r, p, xr, xp, cr, cp, rp
 
     x: ln of load over a full paddle, c: cosine of the plate angle, r and p: ln of elevator speed and of friction over those of
-    `reference`. Coefficients not given are 0. Stretch: time over which the stream arrives over that of straight paths, for
-    grain that strikes grain. Tail: mean time (s) for which grain goes on pushing once its path has met the plate, exponentially
+    `reference`. Coefficients not given are 0. Stretch: ratio of the duration of the arrival to that along straight paths, by
+    collisions between grains. Tail: mean time (s) for which grain still pushes after its path has met the plate, exponentially
     distributed.
 
     Attributes
@@ -38,15 +38,15 @@ class ArrivalLaw:
     tail : tuple of float or None
         None: no tail.
     covariance : tuple of 3 float
-        Of ln stretch and ln tail about the laws: variance, variance, covariance.
+        Deviation of ln stretch and ln tail from the law: variance of each, covariance.
     delay : tuple of float
-        Mean delay (s) of the whole pulse, in the same terms; only where an index gives the paddles' place.
+        Mean delay (s) of the whole pulse, in the same terms; only if an index on the chain gives the position of the paddles.
     delay_sd_s : float
-        Standard deviation about it.
+        Standard deviation of the delay about the law.
     reference : tuple of 2 float
         Elevator speed (rad/s) and friction at which r and p are 0.
     fills : tuple of 2 float
-        Least and largest load over a full paddle that was calibrated; (0, inf) where the law is not from a calibration.
+        Range of load over a full paddle in the calibration; (0, inf) if the law is not from a calibration.
     plate_angles_rad, elevator_speeds_rad_s : tuple of 2 float
         The same for plate angle and elevator speed.
     """
@@ -64,7 +64,7 @@ class ArrivalLaw:
     def conditions(
         self, plate_angle_rad: ArrayLike, elevator_speed_rad_s: ArrayLike, friction: float
     ) -> tuple[Array, Array, Array]:
-        """c, r and p of the laws; angles and speeds broadcast against fills."""
+        """c, r and p of the law; angles and speeds broadcast against fills."""
         speed, usual = self.reference
         cosine, faster = np.cos(plate_angle_rad), np.log(np.asarray(elevator_speed_rad_s) / speed)
         return np.asarray(cosine), np.asarray(faster), np.asarray(np.log(friction / usual))
@@ -84,7 +84,7 @@ class ArrivalLaw:
         return np.asarray(np.exp(law_and_slope(self.tail, fill, conditions)[0]))
 
     def outside(self, fill: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> str:
-        """Why the law does not apply there; "" where it does.
+        """Reason why the law does not apply; "" if it does.
 
         Values may lie beyond those of the calibration by BEYOND_FILL, BEYOND_SPEED (factors) and BEYOND_ANGLE_RAD.
         """
@@ -103,14 +103,14 @@ class ArrivalLaw:
 
 
 def features(fill: float, conditions: tuple[Array, Array, Array]) -> Array:
-    """The terms (TERMS,) of a law at a fill."""
+    """Values of the terms of a law at a fill, (TERMS,)."""
     x = float(np.log(min(max(fill, _LEAST_FILL), 1.0)))
     c, r, p = (float(v) for v in conditions)
     return np.array([1.0, x, c, x * c, c * c, x * x, x * c * c, x * x * c, r, p, x * r, x * p, c * r, c * p, r * p])
 
 
 def law_and_slope(coefficients: tuple[float, ...], fill: AnyArray, conditions: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """A law's value at fills, and its derivative by ln fill."""
+    """A law's value at fills, and its derivative with respect to ln fill."""
     k = (*coefficients, *(0.0,) * (TERMS - len(coefficients)))
     c, r, p = conditions
     one = k[0] + c * (k[2] + k[4] * c) + k[8] * r + k[9] * p + c * (k[12] * r + k[13] * p) + k[14] * r * p

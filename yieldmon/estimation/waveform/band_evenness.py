@@ -1,4 +1,4 @@
-"""Whether what is taken for the noise of kernels is even over its band, as theirs is."""
+"""Test whether noise attributed to kernels has an even spectral density over its band, as that of kernels has."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 _SHORTEST_CELL_S = 1e-5
-"""A cell without lag counts as one of this time constant where the tilt of another one is compared with it."""
+"""Least time constant of the cell in the comparison with another cell."""
 _PUSHING = -0.4
-"""Exponent of the frequency by which the noise of kernels falls at most, for a push lasts (studies/waveform, `kernels`)."""
+"""Steepest exponent of the frequency for noise of kernels, whose push has a duration (studies/waveform, `kernels`)."""
 _FREE_TILT = 1.5
-"""Deviations by which the halves of a band may differ beyond kernels before the rest counts."""
+"""Standard deviations by which the halves of a band may differ beyond what kernels explain without consequence."""
 
 
 def uneven_sd(
@@ -26,21 +26,21 @@ def uneven_sd(
     frequency_hz: Array,
     cell_response_s: float,
 ) -> float:
-    """Relative standard deviation of a kernel's impulse for a density that is not that of kernels over the whole band.
+    """Relative standard deviation of a kernel's impulse by a spectral density that differs from that of kernels.
 
     Parameters
     ----------
     above : ndarray (k,)
         Density beyond that of the empty machine, N^2/Hz.
     gain : ndarray (k,)
-        Mean force times the share of a white density that the samples show, so that above is impulse times gain.
+        Mean force times the power gain of cell and sampler, so that above = impulse * gain.
     impulse_n_s : float
-        By the whole band.
+        Kernel impulse from the whole band.
     weight, variance : ndarray (k,)
-        Of the frequencies in the impulse, and of above by chance.
+        Weight of the frequencies in the impulse, and variance of `above` by chance.
     ground_sd, cell_sd : ndarray (k,)
-        Standard deviations of the empty machine's density, and of ln gain by the cell's time constant; each errs the same way at
-        all frequencies.
+        Standard deviations of the empty machine's density, and of ln gain by the cell's time constant; each is fully correlated
+        over the frequencies.
     frequency_hz : ndarray (k,)
     cell_response_s : float
         Time constant of the cell; 0 for none.
@@ -48,8 +48,8 @@ def uneven_sd(
     Returns
     -------
     float
-        The larger of half of what the band's halves differ by beyond their deviations, and of what another cell would err by
-        that tilts the band as it is tilted. 0 where chance, background and cell explain what the halves differ by.
+        The larger of two errors: half the difference between the band's halves beyond their standard deviations, and the error of
+        a wrong time constant that would explain that difference. 0 if chance, background and cell explain the difference.
     """
     per_half = _halves(above, gain, weight, variance, ground_sd, cell_sd) / impulse_n_s
     middles_hz, lever = _as_another_cell_tilts(frequency_hz, weight * gain, cell_response_s)
@@ -57,7 +57,8 @@ def uneven_sd(
 
 
 def _halves(above: Array, gain: Array, weight: Array, variance: Array, ground_sd: Array, cell_sd: Array) -> Array:
-    """Impulse by the lower and the upper half of a band, and its deviations by chance, background and cell (2, 4), all N s."""
+    """Rows (impulse, its standard deviations by chance, background and cell) of the lower and upper half of a band, N s, (2,
+    4)."""
     rows = []
     for half in (slice(None, gain.size // 2), slice(gain.size // 2, None)):
         w, slope = weight[half], float((weight[half] * gain[half]).sum())
@@ -69,17 +70,29 @@ def _halves(above: Array, gain: Array, weight: Array, variance: Array, ground_sd
 
 
 def _unevenness(per_half: Array) -> float:
-    """Half of what two halves of a band differ by beyond their deviations; background and cell err in both alike."""
+    """Half the difference between the halves of a band beyond their standard deviations; background and cell are common to
+    both."""
     apart = per_half[1] - per_half[0]
     expected = float((per_half[:, 1] ** 2).sum() + apart[2] ** 2 + apart[3] ** 2)
     return 0.5 * float(np.sqrt(max(0.0, float(apart[0]) ** 2 - expected)))
 
 
 def _as_another_cell_tilts(frequency_hz: Array, weight: Array, cell_response_s: float) -> tuple[Array, float]:
-    """Middles of the band's halves, Hz, and by what share of the impulse another time constant errs for what it tilts them.
+    """Effect of a wrong time constant of the cell.
 
-    weight: of the frequencies in the impulse. The lever is the mean over the band of the change of ln(gain) over the difference
-    of its means over the halves.
+    Parameters
+    ----------
+    frequency_hz : ndarray (k,)
+    weight : ndarray (k,)
+        Of the frequencies in the impulse.
+    cell_response_s : float
+
+    Returns
+    -------
+    ndarray (2,)
+        Middles of the band's halves, Hz.
+    float
+        Relative error of the impulse per difference of ln(impulse) between the halves.
     """
     turned = (2.0 * np.pi * frequency_hz * max(cell_response_s, _SHORTEST_CELL_S)) ** 2
     change = turned / (1.0 + turned)
@@ -93,9 +106,10 @@ def _as_another_cell_tilts(frequency_hz: Array, weight: Array, cell_response_s: 
 
 
 def _beyond_kernels(per_half: Array, middles_hz: Array) -> float:
-    """By how much ln(impulse) differs between two halves of a band beyond what kernels and `_FREE_TILT` deviations explain.
+    """Difference of ln(impulse) between the halves of a band beyond what kernels and `_FREE_TILT` standard deviations explain.
 
-    Kernels that strike and leave differ by nothing, those that go on pushing as the frequency to the power of `_PUSHING`.
+    Kernels that bounce off at once cause no difference; those that keep pushing cause one between 0 and the frequency to the
+    power of `_PUSHING`.
     """
     if not per_half[:, 0].min() > 0.0:
         return 0.0

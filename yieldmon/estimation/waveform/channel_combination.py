@@ -1,7 +1,7 @@
-"""Two estimates of one flow, from mean force and from the pulses' shape: covariance, best mean, and whether they agree.
+"""Combination of two estimates of the flow, from the mean force and from the pulses' shape, and their agreement.
 
-Both lean on the bulk density: a denser grain makes the mean force's flow smaller and the shape's larger. That is the scale
-direction (flow, density, 1 + e) -> (a, a, 1/a), which mean forces leave open.
+Both depend on the bulk density: with a higher density the flow from the mean force becomes smaller and that from the shape
+larger. This is the scale direction (flow, density, 1 + e) -> (a, a, 1/a), which mean forces do not determine.
 """
 
 from __future__ import annotations
@@ -20,8 +20,21 @@ _STEP = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """mass_flow_kg_s: the mean of least variance; relative_sd: of its logarithm. z: difference over its standard deviation.
-    weight: of the shape's flow. mean_volume_sd: of the logarithm of the mean force's flow over density."""
+    """Combined flow.
+
+    Attributes
+    ----------
+    mass_flow_kg_s : float
+        Weighted mean with the least variance.
+    relative_sd : float
+        Standard deviation of its logarithm.
+    z : float
+        Difference between the two flows in standard deviations.
+    weight : float
+        Weight of the flow from the shape, 0 to 1.
+    mean_volume_sd : float
+        Standard deviation of ln(flow from the mean force / density).
+    """
 
     mass_flow_kg_s: float
     relative_sd: float
@@ -57,28 +70,28 @@ def combine(
     Parameters
     ----------
     mean_flow_kg_s, shape_flow_kg_s : float
-        From the mean force; from the shape, volume flow times density.
+        Flow from the mean force; flow from the shape, which is volume flow times density.
     mean_sd, shape_sd : float
-        Relative standard deviations; shape_sd without that of the density.
+        Relative standard deviations; shape_sd without the uncertainty of density.
     exponent : float
-        d ln(force) / d ln(flow) at this flow: by it the mean force's flow leans on density.
+        d ln(force) / d ln(flow) at this flow; it determines how the flow from the mean force depends on density.
     parameters : ParameterSet
-        Its covariance of density and restitution.
+        The covariance of density and restitution is used.
     heap : tuple of 2 float
-        What one standard deviation of the heap's shape moves the logarithms of the two flows by: that of the mean force, which
-        mean_sd does not hold, and that of the shape, which shape_sd holds.
+        Change of ln flow from the mean force (not contained in mean_sd) and from the shape (contained in shape_sd) by one
+        standard deviation of the heap's shape.
 
     Returns
     -------
     Combined
-        The mean force's alone where the shape gives nothing.
+        The flow from the mean force alone if the shape gives none.
     """
     if not (isfinite(shape_flow_kg_s) and isfinite(shape_sd) and shape_flow_kg_s > 0.0 and mean_flow_kg_s > 0.0):
         return Combined(mean_flow_kg_s, mean_sd, float("nan"), 0.0)
     of_density, with_gain = relative_covariance(parameters)
     first = mean_sd**2 + heap[0] ** 2
     second = shape_sd**2 + of_density
-    # ln flow of the mean force moves by -(1 - n) / n for ln density and by -1 / n for ln(1 + e).
+    # Derivatives of ln flow from the mean force: -(1 - n) / n by ln density, -1 / n by ln(1 + e).
     both = -((1.0 - exponent) * of_density + with_gain) / exponent + heap[0] * heap[1]
     limit = 0.95 * sqrt(first * second)
     both = min(max(both, -limit), limit)
@@ -99,7 +112,7 @@ def heap_slope(
     elevator_speed_rad_s: float,
     moisture_pct: float,
 ) -> float:
-    """d ln(flow by the mean force) / d ln(shape ratio), at one force.
+    """d ln(flow from the mean force) / d ln(shape ratio) at constant force.
 
     Parameters
     ----------
@@ -110,7 +123,7 @@ def heap_slope(
     Returns
     -------
     float
-        0 where the parameters' own covariance has the shape ratio, and where the force says nothing of a load.
+        0 if the parameters' covariance contains the shape ratio, or the force does not depend on the load.
     """
     values, ratio = parameters.values, parameters.values["shape_ratio"]
     if "shape_ratio" in parameters.covariance_names and parameters.standard_deviation("shape_ratio") > 0.0:

@@ -1,16 +1,16 @@
-"""Scale from kernel noise for updates of the parameters; all such measurements share one bias, which is a state of its own.
+"""Updates of the parameters' scale from kernel noise, with its bias as an additional state.
 
-Kernel noise gives flow times exp(bias). The bias (of the kernels' weight, of crop, cell and background) is the same today as
-tomorrow: a hundred hours of noise know the scale no better than the bias is known. So the bias has a value, a variance and a
-covariance with the parameters, which every update carries along, whatever it comes from. A weighed load that fixes the scale
-fixes the bias with it, and from then on kernel noise follows what drifts.
+Kernel noise measures flow times exp(bias). The bias (by kernel weight, crop, cell and background) is nearly constant, so it does
+not average out over many measurements. It is therefore estimated as a state with a value, a variance and a covariance with the
+parameters, and every update of the parameters also updates it. Once a weighed load has fixed the scale, the bias is known, and
+kernel noise then measures drift.
 
-Kernels whose masses scatter otherwise than when the bias was found (broken kernels, another crop among them) raise the noise
-and look in it like fewer, heavier ones. Where a measurement and the mean force lie further apart than their deviations say,
-what the update leaves unknown is wider by that factor.
+If the masses of kernels scatter more than when the bias was calibrated (broken kernels, another crop among them), the noise
+increases as with fewer, heavier kernels. If a measurement and the mean force differ by more than their standard deviations, the
+remaining uncertainty is increased by that ratio.
 
 Sources: Schmidt, "Application of state-space methods to navigation problems" (1966), on biases as further states; Birge, Phys.
-Rev. 40 (1932) 207, on results that lie further apart than their deviations say.
+Rev. 40 (1932) 207, on results that differ by more than their standard deviations.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 WANDER = 0.03
-"""Standard deviation that the bias gains per root kilotonne of grain: it goes with load and restitution."""
+"""Random walk of the bias, standard deviation per root kilotonne of grain, since it depends on load and restitution."""
 _LOAD_SD = 0.01
-"""Relative standard deviation of one measurement beside its noise: of the load that it was made at."""
+"""Additional relative standard deviation of one measurement by its load."""
 _STEP = 1e-3
 _LARGEST_STEP = 0.3
 _LEAST_VARIANCE = 1e-12
@@ -39,10 +39,17 @@ _LEAST_VARIANCE = 1e-12
 
 @dataclass(frozen=True)
 class KernelMeasurement:
-    """Seconds of grain, and the flow that kernel noise gave for each.
+    """Seconds with grain and their flow from kernel noise.
 
-    kernels_kg_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct: (n,) arrays. random_sd: relative standard
-    deviation of the mean of all of them by chance. lasting_sd: the relative one that they have in common.
+    Attributes
+    ----------
+    kernels_kg_s : ndarray (n,)
+        Flow from kernel noise.
+    force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct : ndarray (n,)
+    random_sd : float
+        Relative standard deviation of the mean flow by chance.
+    lasting_sd : float
+        Relative standard deviation that all seconds have in common.
     """
 
     kernels_kg_s: Array
@@ -56,10 +63,15 @@ class KernelMeasurement:
 
 @dataclass(frozen=True)
 class CommonBias:
-    """What is known of the logarithm of the bias.
+    """Estimate of the logarithm of the bias.
 
-    cross: (n + r,) covariance with the n parameters and r rates of `DriftingParameters`. largest: variance beyond which it does
-    not wander.
+    Attributes
+    ----------
+    value, variance : float
+    cross : ndarray (n + r,)
+        Covariance with the n parameters and r rates of `DriftingParameters`.
+    largest : float
+        Variance at which the random walk stops.
     """
 
     value: float
@@ -70,9 +82,19 @@ class CommonBias:
 
 @dataclass(frozen=True)
 class KernelUpdate:
-    """drifting, bias: after the measurement. difference, sd: of ln flow by kernels less bias and by mean force, and its
-    deviation. moved: change of ln flow of the mean force. errors: what the update made of errors of states and bias
-    (`drift_spread`).
+    """Result of `update`.
+
+    Attributes
+    ----------
+    drifting : DriftingParameters
+    bias : CommonBias
+        After the update.
+    difference, sd : float
+        ln(flow from kernels) - bias - ln(flow from the mean force), and its standard deviation.
+    moved : float
+        Change of ln(flow from the mean force).
+    errors : ndarray (n + r + 1, n + r + 1)
+        Matrix by which the update changed errors of states and bias (`drift_spread.updated`).
     """
 
     drifting: DriftingParameters
@@ -84,21 +106,21 @@ class KernelUpdate:
 
 
 def begin(lasting_sd: float, states: int) -> CommonBias:
-    """Nothing of it is known but its prior."""
+    """The prior of the bias. lasting_sd: its standard deviation. states: number of parameters and rates."""
     return CommonBias(0.0, lasting_sd**2, np.zeros(states), lasting_sd**2)
 
 
 def carried(bias: CommonBias, transition: Array, harvested_kg: float) -> CommonBias:
-    """After a time over which the states went by `transition`, as of `steady_drift.Advance`."""
+    """The bias after a time step of the states. transition: as in `steady_drift.Advance`."""
     wandered = WANDER**2 * max(harvested_kg, 0.0) / KG_PER_KT
     room = max(bias.largest - bias.variance, 0.0)
     return replace(bias, cross=transition @ bias.cross, variance=bias.variance + min(wandered, room))
 
 
 def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParameters, *, widening: float = 1.0) -> CommonBias:
-    """The bias after an update by other data: it follows by its covariance with the states.
+    """The bias after an update of the states by other data, through its covariance with the states.
 
-    widening: as of `steady_drift.updated`. Raises ValueError where the states are not the same.
+    widening: as in `steady_drift.updated`. Raises ValueError if the states are not the same.
     """
     if before.joint.shape != after.joint.shape or before.parameters.covariance_names != after.parameters.covariance_names:
         raise ValueError("the bias of kernel noise cannot follow an update with other states")
@@ -112,12 +134,15 @@ def followed(bias: CommonBias, before: DriftingParameters, after: DriftingParame
 
 
 def update(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, measurement: KernelMeasurement) -> KernelUpdate:
-    """A Kalman update of parameters, rates and bias together by one measurement.
+    """Joint Kalman update of parameters, rates and bias by one measurement.
 
-    Where the difference is beyond one deviation, what the update leaves unknown of the flow, and of the bias with it, is wider by
-    that factor, up to what was unknown of the flow before and what the update moved it by.
+    If the difference exceeds its standard deviation, the remaining uncertainty of the flow, and that of the bias correlated with
+    it, is increased by that ratio. It is limited to the flow's uncertainty before and its change by the update.
 
-    Raises ValueError where the mean force gives no flow, nothing is uncertain, or the step would be too long to be linear.
+    Raises
+    ------
+    ValueError
+        If the mean force gives no flow, nothing is uncertain, or the step is too large to be linear.
     """
     known = drifting.parameters
     names = known.covariance_names
@@ -158,8 +183,24 @@ def update(model: ForwardModel, drifting: DriftingParameters, bias: CommonBias, 
 def _apart(
     joint: Array, cross: Array, variance: float, slope: Array, *, factor: float, most: float
 ) -> tuple[Array, Array, float]:
-    """Covariance of the states, that of the bias with them and its variance, with the part that goes with the flow's error larger
-    by a factor, if above 1, up to a variance of the flow of `most`. slope: of ln flow by the states."""
+    """Increase the part of the uncertainty that is correlated with the error of the flow.
+
+    Parameters
+    ----------
+    joint, cross, variance
+        Covariance of the states, that of the bias with them, and variance of the bias.
+    slope : ndarray
+        Derivatives of ln flow with respect to the states.
+    factor : float
+        Factor on the variance of the flow; no effect up to 1.
+    most : float
+        Largest resulting variance of ln flow.
+
+    Returns
+    -------
+    tuple
+        joint, cross and variance.
+    """
     with_flow = joint @ slope
     of_flow = float(slope @ with_flow)
     if not of_flow > 0.0:
@@ -189,7 +230,8 @@ def _log_flow(model: ForwardModel, parameters: ParameterSet, measurement: Kernel
 def measurement_of(
     seconds: Sequence[tuple[float, float, float, float, float]], random_sds: Sequence[float], lasting_sd: float
 ) -> KernelMeasurement:
-    """From (kernels_kg_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct) of seconds whose noise is independent."""
+    """A measurement from rows (kernels_kg_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct) with independent
+    noise."""
     kernels, force, angle, speed, moisture = np.array(seconds).T
     return KernelMeasurement(kernels, force, angle, speed, moisture, hypot(*random_sds) / len(random_sds), lasting_sd)
 

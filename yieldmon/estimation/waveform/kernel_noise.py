@@ -1,10 +1,10 @@
 """Mass flow from the noise of kernels.
 
-Grain is discrete: kernels that strike one by one, each with an impulse J, make the force's spectral density F J (two-sided, F the
-mean force), flat up to the duration of a contact (Campbell's theorem; Rice, Bell Syst. Tech. J. 23, 1944; Schottky's shot noise).
-J over the impulse per kilogram F / flow is a kernel's mass. So flow = bias F m / J with the mass m of a kernel from a
-thousand-kernel weight: an absolute scale, which no mean force holds. What the sensor passes on at these frequencies decides
-whether there is anything to see.
+Grain is discrete. Kernels that strike one by one, each with an impulse J, cause a force with the spectral density F J (two-sided,
+F the mean force), flat up to the inverse of a contact's duration (Campbell's theorem; Rice, Bell Syst. Tech. J. 23, 1944;
+Schottky's shot noise). A kernel's mass is J divided by the impulse per kilogram, F / flow. Therefore flow = bias F m / J, with
+the mass m of a kernel from a thousand-kernel weight. This is an absolute scale, which the mean force does not give. The method
+requires a sensor that transmits these frequencies.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from .noise_gain import CONTACT_HZ, power_gain_and_aliases
 from .spectral_density import Density
 
 CLEAR_OF_ALIASES = 0.4
-"""Share of the sampling rate up to which what the sampler folds back is small beside what is there."""
+"""Share of the sampling rate up to which aliases are small."""
 _ITERATIONS = 6
 _TINY = 1e-9
 
 
 class KernelVerdict(IntEnum):
-    """Whether kernel noise gives a flow, else what stands in the way. CONTRADICTS: a flow that nothing uses, since it and that of
-    the mean force exclude each other."""
+    """Whether kernel noise gives a flow, or the reason why not. CONTRADICTS: the flow contradicts that of the mean force and is
+    not used."""
 
     NOT_LOOKED_AT = 0
     USED = 1
@@ -45,23 +45,23 @@ class KernelVerdict(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class KernelNoiseSettings:
-    """Band, what is not known of the background, and what calibrations found.
+    """Band, uncertainties, and calibrated bias.
 
     Attributes
     ----------
     low_hz, high_hz : float
         Band: above the pulses, below the inverse of a contact's duration.
     quiet_error : float
-        Relative standard deviation of the background's density between empty and harvesting; it does not average out.
+        Relative standard deviation of the background's change between empty and harvesting; it does not average out.
     response_error : float
         Relative standard deviation of the cell's time constant.
     bias, bias_sd : float
-        J over (kernel mass times impulse per kilogram), and its standard deviation between crops, loads and restitutions
+        J / (kernel mass times impulse per kilogram), and its standard deviation between crops, loads and restitutions
         (studies/waveform, discrete-element forces).
     largest_sd : float
         Relative standard deviation of J above which the channel gives no flow.
     averaged : bool
-        Whether a sample is the mean over its interval; else it is the force at one instant, into which all aliases fold.
+        Whether a sample is the mean over its interval; if not, it is the force at one instant, which contains all aliases.
     """
 
     low_hz: float = 200.0
@@ -81,13 +81,13 @@ class KernelImpulse:
     Attributes
     ----------
     impulse_n_s : float
-        nan where nothing can be said.
+        nan if it is not known.
     random_sd, lasting_sd : float
-        Relative standard deviations: of what averages out; and of background, cell, and a density that is not that of kernels
-        over the whole band.
+        Relative standard deviations by chance, which averages out; and by background, cell, and a density that differs from that
+        of kernels, which do not.
     verdict : KernelVerdict
     reason : str
-        The verdict in words; empty where usable.
+        The verdict in words; empty if usable.
     """
 
     impulse_n_s: float
@@ -103,13 +103,13 @@ class KernelImpulse:
 
     @property
     def relative_sd(self) -> float:
-        """Both together."""
+        """Relative standard deviation by chance and lasting errors together."""
         return float(np.hypot(self.random_sd, self.lasting_sd))
 
 
 @dataclass(frozen=True, slots=True)
 class KernelFlow:
-    """Mass flow from kernel noise; relative_sd holds the kernel's mass and the bias too."""
+    """Mass flow from kernel noise; relative_sd includes the errors of the kernel's mass and the bias."""
 
     mass_flow_kg_s: float
     relative_sd: float
@@ -127,32 +127,33 @@ def kernel_impulse(
     scatter: float = 0.0,
     misplaced: float = 0.0,
 ) -> KernelImpulse:
-    """Impulse of one kernel from densities measured while harvesting and while empty.
+    """Impulse of one kernel from spectral densities measured while harvesting and while empty.
 
     Parameters
     ----------
     loaded, quiet : Density
-        On the same frequencies; `loaded` of what is left once the mean pulse has been taken off.
+        At the same frequencies; `loaded` of the samples minus the mean pulses.
     mean_force_n : float
-        Of the grain.
+        Mean force of the grain, N.
     cell_response_s, sample_interval_s : float
         As in `power_gain`.
     settings : KernelNoiseSettings, optional
         None: the defaults.
     steady_share : float
-        What of the noise beyond `quiet` stays between the pulses (`noise_by_phase.steady_noise`) and so is not the kernels'; half
-        of it counts as a deviation.
+        Share of the noise beyond `quiet` that also exists between the pulses (`noise_by_phase.steady_noise`) and is not caused by
+        kernels. It is subtracted, and half of it counts as a standard deviation.
     scatter : float
-        Relative standard deviation of windows' noise beyond chance (`noise_scatter.excess_scatter`); it counts as a deviation.
+        Relative standard deviation of windows' noise beyond chance (`noise_scatter.excess_scatter`); it is added to the standard
+        deviation.
     misplaced : float
-        What of the noise beyond `quiet` may be of pulses out of place (`pulse_times.misplaced_share`); it counts as a deviation,
-        since a pulse's own time is taken off as far as it shows.
+        Share of the noise beyond `quiet` that displaced pulses may cause (`pulse_times.misplaced_share`). It is only added to the
+        standard deviation, because measured displacements are already removed from the samples.
 
     Returns
     -------
     KernelImpulse
-        By weighted least squares over the band; usable is False, with the reason, where the band is empty, the force small, or
-        the deviation above `settings.largest_sd`.
+        By weighted least squares over the band. Not usable, with a reason, if the band is empty, there is no force of grain, or
+        the standard deviation exceeds `settings.largest_sd`.
     """
     s = settings or KernelNoiseSettings()
     band = (loaded.frequency_hz >= s.low_hz) & (loaded.frequency_hz <= min(s.high_hz, CLEAR_OF_ALIASES / sample_interval_s))
@@ -178,7 +179,7 @@ def kernel_impulse(
     turned = (2.0 * np.pi * frequency * cell_response_s) ** 2
     cell = s.response_error * float((weight * gain * 4.0 * turned / (1.0 + turned)).sum() / (weight * gain).sum())
     if not s.averaged:
-        # What of the aliases a contact keeps back is not known; a sampler that averages lets few of them in.
+        # How much of the aliases a contact attenuates is not known. A sampler that averages has few of them.
         cell = float(np.hypot(cell, float((weight * beyond).sum() / (weight * shares).sum())))
     uneven = uneven_sd(
         above,
@@ -206,15 +207,29 @@ def kernel_impulse(
 def _least_squares(
     above: Array, ground: Array, gain: Array, averages: tuple[float, float], quiet_error: float
 ) -> tuple[float, Array, Array]:
-    """Impulse, N s, by repeatedly weighted least squares of above = impulse * gain, and weights and variances of the frequencies.
+    """Iteratively reweighted least squares of above = impulse * gain.
 
-    above, ground: density beyond that of the empty machine, and that. averages: periodograms of the loaded and of the empty
-    machine. quiet_error: relative deviation of ground.
+    Parameters
+    ----------
+    above, ground : ndarray (k,)
+        Density beyond that of the empty machine, and density of the empty machine.
+    gain : ndarray (k,)
+    averages : (float, float)
+        Averaged periodograms of the loaded and of the empty machine.
+    quiet_error : float
+        Relative standard deviation of ground.
+
+    Returns
+    -------
+    impulse : float
+        N s.
+    weight, variance : ndarray (k,)
+        Weight of the frequencies in the impulse, and variance of `above` by chance.
     """
     impulse = max(median(above / gain), 0.0)
     weight = variance = np.ones_like(gain)
     of_empty = ground**2 / averages[1]
-    # A background wrong by one share everywhere is taken as wrong in each place, which is what lines of vibration are.
+    # The background's error is treated as independent between frequencies, as for lines of vibration.
     wrong = (quiet_error * ground) ** 2
     for _ in range(_ITERATIONS):
         variance = (ground + impulse * gain) ** 2 / averages[0] + of_empty
@@ -251,9 +266,9 @@ def kernel_flow(
     Parameters
     ----------
     found : KernelImpulse
-        One that is usable.
+        A usable impulse.
     mean_force_n : float
-        Of the grain, N.
+        Mean force of the grain, N.
     kernel_mass_kg : float
         Mean mass of a kernel, weighted by mass where kernels differ, kg; a thousand-kernel weight / 1000.
     kernel_mass_sd : float

@@ -1,4 +1,4 @@
-"""What kernel noise would give behind a sensor, before anything is measured."""
+"""Expected accuracy of kernel noise with a given sensor, before any measurement."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ def expected_impulse(
     segment: int = 256,
     crest: float = 1.0,
 ) -> KernelImpulse:
-    """What a sensor would reach: `kernel_impulse` on the densities that are to be expected, with a white background.
+    """Expected result of `kernel_impulse` with a white background.
 
     Parameters
     ----------
     mean_force_n, impulse_n_s : float
-        Of the grain, and of one kernel.
+        Mean force of the grain, and impulse of one kernel.
     quiet_n2_hz : float
         Two-sided density of the empty machine.
     cell_response_s, sample_interval_s, settings
-        As of `kernel_impulse`.
+        As in `kernel_impulse`.
     duration_s : float
-        Of grain, and of the empty machine.
+        Duration of the measurement with grain, and with the empty machine, s.
     segment : int
-        Samples of which a spectrum is made.
+        Samples in a spectrum.
     crest : float
-        As of `in_pulses`.
+        As in `in_pulses`.
 
     Returns
     -------
     KernelImpulse
-        Of the impulse given, with the deviations that are to be expected.
+        The given impulse with its expected standard deviations.
     """
     frequency = frequencies_hz(segment, sample_interval_s)
     averages = expected_averages(duration_s, sample_interval_s, segment=segment)

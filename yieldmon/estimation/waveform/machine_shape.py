@@ -1,4 +1,4 @@
-"""A machine's own arrival law, from pulses of its weighed loads."""
+"""Arrival law of a machine, from the pulses of its weighed loads."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from .pulse_shape import estimate_near
 
 LEAST_LOADS = 3
 TERM_NAMES = ("1", "x", "c", "xc", "c^2")
-"""Of an `ArrivalLaw` that one machine's loads may free."""
+"""Terms of an `ArrivalLaw` that may be fitted to one machine's loads."""
 _LOG_FILL, _ANGLE_RAD, _LOG_SPEED = 0.15, float(np.deg2rad(3.0)), 0.05
-"""Within these, pulses are of one kind."""
+"""Widths of the groups of pulses: ln fill, plate angle, ln speed."""
 _FLOW_PER_STRETCH = 2.0
-"""d ln(volume flow by the shape) / d ln(stretch), about (docs/internals/waveform.md)."""
+"""Approximate d ln(volume flow from the shape) / d ln(stretch) (docs/internals/waveform.md)."""
 _ROUNDS = 2
 _EACH = 5
-"""Waves of a kind in a load that are fitted."""
+"""Largest number of waves of a group in a load that are fitted."""
 _LEAST_LOG_FILLS, _LEAST_COSINES = 0.3, 0.1
-"""Range that it takes to free a term with load, or with plate angle."""
+"""Least range of ln fill and of the cosine of the plate angle for a term in them."""
 _LEAST_ANGLES = 4
-"""For a term that is quadratic in plate angle."""
+"""Least number of plate angles for a quadratic term."""
 
 
 @dataclass(frozen=True, slots=True)
 class WeighedWave:
-    """A window's wave, its load, and its volume flow by the mean force, scaled to the load's weighed mass."""
+    """A window's wave, its load, and its volume flow from the mean force, scaled to the load's weighed mass."""
 
     load: str
     wave: PatternWave
@@ -44,9 +44,17 @@ class WeighedWave:
 
 @dataclass(frozen=True, slots=True)
 class LoadShape:
-    """A load's waves: how many, and by how much the volume flow of their shape is off, relative: mean of ln(shape / weighed).
+    """Errors of a load's waves.
 
-    before: with the law that was in use; left_out: with that of the other loads, nan where these do not reach its pulses.
+    Attributes
+    ----------
+    load : str
+    waves : int
+        Number of waves.
+    before : float
+        Mean of ln(volume flow from the shape / weighed) with the law in use.
+    left_out : float
+        The same with a law fitted to the other loads; nan if its range does not include this load's pulses.
     """
 
     load: str
@@ -57,8 +65,19 @@ class LoadShape:
 
 @dataclass(frozen=True)
 class MachineShape:
-    """The law fitted to loads, its free terms, and the evidence of the loads for it. refused: why it is worse than the one in
-    use."""
+    """Result of `calibrate_machine_shape`.
+
+    Attributes
+    ----------
+    law : ArrivalLaw
+    terms : tuple of str
+        Names of the fitted terms.
+    kinds : int
+        Number of groups of pulses.
+    loads : tuple of LoadShape
+    refused : str
+        Why the law is worse than the one in use; "" if it is not.
+    """
 
     law: ArrivalLaw
     terms: tuple[str, ...]
@@ -69,7 +88,7 @@ class MachineShape:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Pulses of one load, fill, angle and speed: their mean arrival, and some of their waves."""
+    """A group of pulses of one load with similar fill, angle and speed: their mean arrival, and some of their waves."""
 
     load: str
     point: ArrivalPoint
@@ -77,24 +96,24 @@ class _Kind:
 
 
 def calibrate_machine_shape(pulses: PulseModel, waves: Sequence[WeighedWave]) -> MachineShape:
-    """The arrival law of a machine.
+    """Fit the arrival law of a machine.
 
     Parameters
     ----------
     pulses : PulseModel
-        With the arrival law that is in use.
+        Contains the arrival law in use.
     waves : sequence
-        Of `LEAST_LOADS` loads or more.
+        Waves of `LEAST_LOADS` loads or more.
 
     Returns
     -------
     MachineShape
-        Its law has a term with load, or with plate angle, where the pulses' range is wide enough to determine it.
+        The law has terms in load and plate angle if the pulses' range is wide enough to determine them.
 
     Raises
     ------
     ValueError
-        For too few loads, or loads too much alike.
+        For too few loads, or loads that are too similar.
     """
     names = tuple(dict.fromkeys(wave.load for wave in waves))
     if len(names) < LEAST_LOADS:
@@ -110,7 +129,7 @@ def calibrate_machine_shape(pulses: PulseModel, waves: Sequence[WeighedWave]) ->
         loads.append(LoadShape(name, sum(wave.load == name for wave in waves), before, left_out))
     left_out_sd = float(np.sqrt(np.nanmean([load.left_out**2 for load in loads]))) / _FLOW_PER_STRETCH
     if np.isfinite(left_out_sd):
-        # The points were moved until the law passes through them: how far it is off elsewhere only loads left out say.
+        # The points were adjusted to the law, so only loads left out show its error.
         law = replace(law, covariance=(max(law.covariance[0], left_out_sd**2), *law.covariance[1:]))
     return MachineShape(law, tuple(TERM_NAMES[place] for place in chosen), len(kinds), tuple(loads), _refusal(loads))
 
@@ -145,7 +164,7 @@ def _kind(pulses: PulseModel, waves: Sequence[WeighedWave]) -> _Kind:
 
 
 def _terms(points: Sequence[ArrivalPoint]) -> tuple[int, ...]:
-    """Places of the terms that the points' range determines, fewer than points."""
+    """Indices of the terms that the points' range determines; fewer than points."""
     cosines = np.cos([point.plate_angle_rad for point in points])
     by_load = bool(np.ptp([np.log(point.fill) for point in points]) >= _LEAST_LOG_FILLS)
     by_angle = bool(np.ptp(cosines) >= _LEAST_COSINES)
@@ -156,7 +175,7 @@ def _terms(points: Sequence[ArrivalPoint]) -> tuple[int, ...]:
 
 
 def _law(pulses: PulseModel, kinds: Sequence[_Kind], terms: tuple[int, ...]) -> ArrivalLaw:
-    """The kinds' law, and then the one with which fits that leave friction, heap and cell free as well are right in the mean."""
+    """The law of the groups, adjusted so that fits with free friction, heap and cell have the weighed flow in the mean."""
     chosen: Terms = (terms, terms[:2], terms[:1])
     points = [kind.point for kind in kinds]
     law = law_of(points, terms=chosen)
@@ -171,13 +190,13 @@ def _law(pulses: PulseModel, kinds: Sequence[_Kind], terms: tuple[int, ...]) -> 
 
 
 def _fits(pulses: PulseModel, law: ArrivalLaw, waves: Sequence[WeighedWave]) -> tuple[PulseModel, list[PulseEstimate]]:
-    """As the daemon fits them."""
+    """Fit waves with a law, in the same way as the daemon."""
     model = PulseModel(pulses.model, pulses.parameters, replace(pulses.settings, arrival=law))
     return model, estimate_near(model, [w.wave for w in waves], [w.volume_flow_m3_s for w in waves])
 
 
 def _agreeing_stretches(pulses: PulseModel, law: ArrivalLaw, kinds: Sequence[_Kind]) -> list[float]:
-    """ln stretch with which each kind gives its weighed volume flow in the mean; the kind's own where no fit settles."""
+    """ln stretch with which each group's mean volume flow is the weighed one; the group's own if no fit converges."""
     wanted = []
     for kind in kinds:
         model, fits = _fits(pulses, law, kind.waves)
@@ -197,7 +216,7 @@ def _agreeing_stretches(pulses: PulseModel, law: ArrivalLaw, kinds: Sequence[_Ki
 
 
 def _error(pulses: PulseModel, law: ArrivalLaw, kinds: Sequence[_Kind]) -> float:
-    """Mean of ln(volume flow by the shape / weighed) over the kinds' waves, fitted as the daemon fits them."""
+    """Mean of ln(volume flow from the shape / weighed) over the groups' waves, fitted in the same way as in the daemon."""
     waves = [weighed for kind in kinds for weighed in kind.waves]
     _, fits = _fits(pulses, law, waves)
     errors = [np.log(fit.volume_flow_m3_s / w.volume_flow_m3_s) for fit, w in zip(fits, waves, strict=True)]

@@ -1,8 +1,8 @@
-"""How much of the noise does not rise and fall with the force, as the noise of kernels does.
+"""Part of the noise that does not follow the force and is therefore not caused by kernels.
 
-Kernels that strike one by one make noise in proportion to how many of them strike, so that its local power follows the force
-over the paddle pattern (Campbell's theorem, locally). Vibration of the machine goes on between the pulses. What is left of the
-noise where no grain strikes, beyond that of the empty machine, is the harvesting machine's own.
+The power of kernel noise is proportional to the rate of impacts, so it follows the force over the paddle pattern (Campbell's
+theorem, locally). Vibration of the machine continues between the pulses. Noise at phases without grain, beyond that of the empty
+machine, is caused by the harvesting machine.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from yieldmon.physics.numerics import AnyArray, Array
 
 BINS = 64
 _OF_THE_PATTERN = 4
-"""The part of the pattern with the least force, one in so many, is where steady noise is looked for."""
+"""Steady noise is estimated in 1 / this of the pattern, where the force is least."""
 _MOST_FORCE = 0.2
-"""Of the mean force, what may be there."""
+"""Largest force there, relative to the mean force."""
 _BANDWIDTH = 2.0 / 3.0
-"""Of a half sine's width, the width of an even band whose mean power scatters as much."""
+"""Effective bandwidth of a half sine weight relative to its width, for the scatter of the mean power."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class PhaseNoise:
     Attributes
     ----------
     power_n2, force_n, samples : ndarray (b,)
-        Squares of the samples in the band, the force, and how many samples.
+        Sum of squares of the samples in the band, sum of the force, and number of samples in each bin.
     """
 
     power_n2: Array
@@ -45,9 +45,10 @@ class SteadyNoise:
     Attributes
     ----------
     share : float
-        Of the noise beyond that of the empty machine, less what chance explains; 0 where no time is left between the pulses.
+        Share of the noise beyond that of the empty machine, reduced by what chance explains; 0 if there is no time between the
+        pulses.
     sd : float
-        Its standard deviation by chance; inf where it cannot be seen.
+        Its standard deviation by chance; inf if it cannot be measured.
     """
 
     share: float
@@ -58,7 +59,7 @@ _UNSEEN = SteadyNoise(0.0, float("inf"))
 
 
 def _weights(frequency_hz: AnyArray, low_hz: float, high_hz: float) -> Array:
-    """Of amplitudes: a half sine over the band, whose answer in time ends soon; 0 throughout an empty band."""
+    """Amplitude weights: a half sine over the band, which has a short impulse response; 0 for an empty band."""
     if not high_hz > low_hz:
         return np.zeros(frequency_hz.shape)
     place = (frequency_hz - low_hz) / (high_hz - low_hz)
@@ -73,7 +74,7 @@ def noise_by_phase(
     Parameters
     ----------
     left_n : ndarray (n,)
-        Samples less the mean pulses, N.
+        Samples minus the mean pulses, N.
     force_n : ndarray (n,)
         The samples themselves, N.
     phase : ndarray (n,)
@@ -81,12 +82,12 @@ def noise_by_phase(
     interval_s : float
         Between two samples, s.
     low_hz, high_hz : float
-        Ends of the band, Hz; no power where the first is not below the second.
+        Ends of the band, Hz; no power unless low_hz < high_hz.
 
     Returns
     -------
     PhaseNoise
-        Of `BINS` bins.
+        With `BINS` bins.
 
     Source: Campbell, "The study of discontinuous phenomena", Proc. Camb. Phil. Soc. 15 (1909), for noise in proportion to the
     rate of impacts.
@@ -100,7 +101,7 @@ def noise_by_phase(
 
 
 def band_power(frequency_hz: Array, density: Array, low_hz: float, high_hz: float) -> float:
-    """Mean square of noise in the band, as `noise_by_phase` weighs it.
+    """Mean square of noise in the band, with the weights of `noise_by_phase`.
 
     Parameters
     ----------
@@ -130,30 +131,30 @@ def steady_noise(
     low_hz: float,
     high_hz: float,
 ) -> SteadyNoise:
-    """Share of noise that does not depend on the force: the noise at the least force, less that of the kernels at that force.
+    """Share of noise that does not depend on the force: noise at the least force, minus that of kernels at that force.
 
     Parameters
     ----------
     parts : sequence of PhaseNoise (w,)
         Windows with grain, one or more.
     impulses : sequence of float (w,)
-        Force per mass flow in each, N s/kg, with which a kernel's impulse goes.
+        Force per mass flow in each window, N s/kg, to which a kernel's impulse is proportional.
     quiet_n2 : float
         `band_power` of the empty machine, N^2.
     pattern_s : float
-        Time of a turn of the pattern, s.
+        Duration of one turn of the pattern, s.
     interval_s, low_hz, high_hz : float
         As in `noise_by_phase`.
 
     Returns
     -------
     SteadyNoise
-        A share of 0 with an infinite deviation where pulses leave no part of the pattern without force.
+        Share 0 and infinite standard deviation if no part of the pattern is without force.
 
     Raises
     ------
     ValueError
-        Another number of impulses than of windows.
+        If the numbers of impulses and windows differ.
     """
     samples = np.sum([part.samples for part in parts], axis=0)
     power = np.sum([part.power_n2 for part in parts], axis=0)
@@ -176,8 +177,8 @@ def steady_noise(
 
 
 def _as_the_band_sees(force_n: Array, pattern_s: float, width_hz: float) -> Array:
-    """The force over the phase as the power of noise in a band follows it: the band's answer squared smooths it."""
+    """The force over the phase, smoothed by the squared impulse response of the band."""
     lag = np.minimum(np.arange(BINS // 2 + 1) / (pattern_s * width_hz), 1.0)
-    # Of a half sine over the band, with itself moved by so many of its width.
+    # Autocorrelation of a half sine at lags relative to its width.
     like = (1.0 - lag) * np.cos(np.pi * lag) + np.sin(np.pi * lag) / np.pi
     return np.asarray(np.fft.irfft(np.fft.rfft(force_n) * like, BINS))

@@ -1,4 +1,4 @@
-"""What of a white noise of force a sensor shows: cell, sampler, and the aliases that the sampler folds back."""
+"""Power gain of a sensor for white noise of force: cell, sampler and aliases."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 CONTACT_HZ = 2000.0
-"""From which on a kernel's contact, of some tenths of a millisecond, passes on an unknown share of its noise."""
+"""Frequency from which on an unknown share of a kernel's noise is lost by the duration of its contact (some 0.1 ms)."""
 _ALIASES = 64
 
 
 def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: float, *, averaged: bool = True) -> Array:
-    """Share (k,) of a white density of force that samples show: critically damped cell, sampler, aliases.
+    """Ratio of the samples' spectral density to a white density of force, (k,): critically damped cell, sampler, aliases.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: f
         Time constant; 0 for none.
     sample_interval_s : float
     averaged : bool
-        As of `KernelNoiseSettings`.
+        As in `KernelNoiseSettings`.
     """
     return power_gain_and_aliases(frequency_hz, cell_response_s, sample_interval_s, averaged=averaged)[0]
 
@@ -31,14 +31,14 @@ def power_gain(frequency_hz: Array, cell_response_s: float, sample_interval_s: f
 def power_gain_and_aliases(
     frequency_hz: Array, cell_response_s: float, sample_interval_s: float, averaged: bool
 ) -> tuple[Array, Array]:
-    """The same, and the part of it that is aliases from beyond `CONTACT_HZ`."""
+    """`power_gain`, and the part of it by aliases from above `CONTACT_HZ`, each (k,)."""
     frequency = np.ascontiguousarray(frequency_hz, dtype=np.float64)
     return _power_gain(frequency.tobytes(), cell_response_s, sample_interval_s, averaged)
 
 
 @lru_cache(maxsize=64)
 def _power_gain(frequencies: bytes, cell_response_s: float, sample_interval_s: float, averaged: bool) -> tuple[Array, Array]:
-    """The same for the bytes of frequencies: a sensor's are the same each second."""
+    """The same with frequencies as bytes, since they are the same each second and can be cached."""
     order = np.arange(-_ALIASES, _ALIASES + 1)[:, None]
     frequency = np.frombuffer(frequencies) + order / sample_interval_s
     shown = 1.0 / (1.0 + (2.0 * np.pi * frequency * cell_response_s) ** 2) ** 2

@@ -21,7 +21,7 @@ class PatternWave:
     noise_n : ndarray (k,)
         Standard deviation of real and imaginary part each, from noise that averages out over time, N.
     patterns : float
-        Repeats of the pattern that were averaged.
+        Number of turns of the pattern that were averaged.
     elevator_speed_rad_s, plate_angle_rad : float
     """
 
@@ -39,13 +39,13 @@ class FoldedPattern:
     Attributes
     ----------
     mean_n : ndarray (b,)
-        In b equal bins of phase; nan in a bin without samples.
+        Mean in b equal bins of phase; nan in a bin without samples.
     variance_n2 : ndarray (b,)
-        Of a sample about its bin's mean: noise, and the scatter of pulses.
+        Variance of a sample about its bin's mean, by noise and by the scatter of pulses.
     counts : ndarray (b,)
-        Samples.
+        Number of samples.
     patterns : float
-        Turns of the pattern that the samples cover.
+        Number of turns of the pattern that the samples cover.
     """
 
     mean_n: Array
@@ -62,7 +62,7 @@ class FoldedPattern:
 def fold_all(samples_n: Sequence[Array], phases: Sequence[Array], *, bins: int = 64) -> list[FoldedPattern]:
     """Fold the samples (n,) of each window by their phase (n,), in turns of the pattern along the chain.
 
-    Each as if it were alone, to the last bit.
+    The result for a window is bit for bit independent of the others.
     """
     count, sizes = len(phases), [phase.size for phase in phases]
     if not count:
@@ -85,7 +85,7 @@ def harmonics_of_all(
     elevator_speeds_rad_s: Sequence[float],
     plate_angles_rad: Sequence[float],
 ) -> list[PatternWave]:
-    """Harmonics 1 .. `harmonics` of complete patterns with as many bins, with the noise that the scatter within the bins shows.
+    """Harmonics 1 .. `harmonics` of complete patterns with equal numbers of bins. Their noise comes from the scatter in the bins.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def harmonics_of_all(
     if 3 * harmonics > bins:
         raise ValueError(f"{harmonics} harmonics from {bins} bins, expected at most a third")
     order = np.arange(1, harmonics + 1)
-    # The mean over a bin is that at its middle, low-passed by the bin's width.
+    # The mean over a bin is the value at its middle, low-pass filtered by the bin's width.
     width = np.sinc(order / bins)
     turned = np.exp(-1j * np.pi * order / bins) / width
     waves = np.fft.fft(np.array([pattern.mean_n for pattern in folded]))[:, 1 : harmonics + 1] / bins * turned
@@ -114,6 +114,6 @@ def harmonics_of_all(
 
 
 def later(wave: PatternWave, turns: float) -> PatternWave:
-    """The same pulses, so much of the pattern later."""
+    """The same pulses, delayed by some turns of the pattern."""
     order = np.arange(1, wave.amplitudes_n.size + 1)
     return replace(wave, amplitudes_n=wave.amplitudes_n * np.exp(-2j * np.pi * turns * order))

@@ -1,6 +1,6 @@
-"""Fit of the pulses' parameters to the waves of windows side by side.
+"""Fit of pulse parameters to the waves of several windows at once.
 
-Sources: Gauss-Newton with Gaussian priors; for the term of the model's own error Kennedy and O'Hagan, J. R. Statist. Soc. B 63
+Sources: Gauss-Newton with Gaussian priors; for the model error Kennedy and O'Hagan, J. R. Statist. Soc. B 63
 (2001).
 """
 
@@ -18,11 +18,11 @@ from .pulse_model import FLOW, SHIFT, Linear, PulseModel
 
 _LARGEST_STEP = 0.4
 _SETTLED = 1e-3
-"""Squared length of the last step, in posterior standard deviations; the model is not computed anew for so short a one."""
+"""Squared length of a step, in posterior standard deviations, below which it is the last one, without a new evaluation."""
 _WEIGHED_ANEW = 3
-"""Steps with weights of their own; from then on they stay, so that the fit settles."""
+"""Number of steps with new weights; after these the weights stay the same, so that the fit converges."""
 _PARTS = (1.0, 0.5, 0.25, 0.1)
-"""Of a step, tried until the fit is better."""
+"""Fractions of a step that are tried until the fit improves."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +34,19 @@ class PulseEstimate:
     volume_flow_m3_s : float
         Mass flow over bulk density on the paddle.
     relative_sd, random_sd : float
-        Standard deviation of its logarithm: whole, and the part that averages out over windows.
+        Standard deviation of its logarithm: total, and the part that averages out over windows.
     values : dict
         All parameters by name.
     names, covariance :
         Order and posterior covariance (n, n).
     misfit : float
-        Mean square of the residuals in their own standard deviations, model error included; about 1 where the model holds.
+        Mean square of the residuals in standard deviations that include the model error; about 1 if the model is correct.
     relative_residual : float
         Root of the summed squares of the residual harmonics over that of the harmonics.
     converged : bool
     outside : str
-        Why the volume flow is not to be used: the fit lies outside the loads, plate angles or speeds of the arrival law's
-        calibration.
-        Empty where it lies inside.
+        Why the volume flow must not be used: the load, plate angle or speed is outside the calibration of the arrival law. Empty
+        if it is inside.
     """
 
     volume_flow_m3_s: float
@@ -69,7 +68,7 @@ class PulseEstimate:
 
 @dataclass(frozen=True, slots=True)
 class WaveBatch:
-    """Waves of windows side by side: amplitudes and variances of what averages out (m, k), the rest (m,)."""
+    """Waves of m windows: amplitudes and their variances by what averages out, (m, k), and conditions, (m,)."""
 
     amplitudes_n: AnyArray
     random: Array
@@ -88,20 +87,31 @@ class WaveBatch:
         )
 
     def at(self, rows: AnyArray) -> WaveBatch:
-        """Some of them."""
+        """The waves of some rows."""
         return WaveBatch(
             self.amplitudes_n[rows], self.random[rows], self.patterns[rows], self.speeds_rad_s[rows], self.angles_rad[rows]
         )
 
 
 class _Priors:
-    """Standard deviations and precisions of the priors of windows side by side.
+    """Priors of the parameters of m windows.
 
-    free: (n,), the parameters that are fitted, f of them; sd: (m, n); precision: (m, f, f). flow_sd: as given.
+    Attributes
+    ----------
+    free : ndarray of bool (n,)
+        The f parameters that are fitted.
+    own : ndarray of bool (f,)
+        Which of them are the paddles' scatter.
+    sd : ndarray (m, n)
+        Standard deviations.
+    precision : ndarray (m, f, f)
+        Inverse covariances.
+    flow_sd : float or None
+        As given.
     """
 
     def __init__(self, pulses: PulseModel, patterns: Array, flow_sd: float | None = None) -> None:
-        """flow_sd: of ln volume flow, in place of the settings'."""
+        """flow_sd: standard deviation of ln volume flow; None: that of the settings."""
         own, self.flow_sd = pulses.own_scatter, flow_sd
         self.sd = np.tile(pulses.prior_sd(1.0), (len(patterns), 1))
         if flow_sd is not None:
@@ -122,8 +132,23 @@ def fitted(
     pulses: PulseModel, shown: WaveBatch, theta: Array, mean: Array, iterations: int, begun: Linear | None = None,
     *, flow_sd: float | None = None,
 ) -> list[PulseEstimate]:  # fmt: skip
-    """Gauss-Newton for windows side by side, from theta (m, n); mean: the priors' means (m, n); begun: the model at theta;
-    flow_sd: prior deviation of ln volume flow, in place of the settings'."""
+    """Gauss-Newton fit of m windows.
+
+    Parameters
+    ----------
+    pulses : PulseModel
+    shown : WaveBatch
+        The measured waves.
+    theta : ndarray (m, n)
+        Start; overwritten.
+    mean : ndarray (m, n)
+        Means of the priors.
+    iterations : int
+    begun : Linear, optional
+        The model at theta.
+    flow_sd : float, optional
+        Prior standard deviation of ln volume flow; default: that of the settings.
+    """
     priors = _Priors(pulses, shown.patterns, flow_sd)
     free = priors.free
     theta[:, ~free] = mean[:, ~free]
@@ -158,12 +183,12 @@ def fitted(
 def _step(
     shown: WaveBatch, at: Linear, theta: Array, mean: Array, priors: _Priors, variance: Array, rows: AnyArray
 ) -> tuple[Array, Array, AnyArray]:
-    """Of rows: whole steps (r, n), what is to become less (r,), and whether the step is too short to go on (r,)."""
+    """Full step (r, n), present cost (r,), and whether the step is short enough to be the last (r,), for each of the rows."""
     free, prior = priors.free, priors.precision[rows]
     white, residual = _whitened(at.jacobian[rows][..., free], shown.amplitudes_n[rows] - at.waves[rows], variance[rows])
     across = white.swapaxes(1, 2)
     normal = across @ white + prior
-    # A cell without a response has a logarithm of minus infinity, and is not fitted.
+    # Without a response of the cell, ln of its time constant is -inf; it is not a free parameter then.
     away = theta[rows][:, free] - mean[rows][:, free]
     pull = _times(prior, away)
     short: Array = np.asarray(np.linalg.solve(normal, (_times(across, residual) - pull)[..., None])[..., 0], dtype=np.float64)
@@ -177,7 +202,7 @@ def _shortened(
     pulses: PulseModel, shown: WaveBatch, at: Linear, theta: Array, mean: Array, priors: _Priors, variance: Array, rows: AnyArray,
     whole: Array, best: Array,
 ) -> Array:  # fmt: skip
-    """theta (r, n) of rows after the longest part of the whole step that makes the fit better; `at` is put there."""
+    """theta (r, n) of the rows after the largest fraction of the full step that improves the fit; `at` is updated."""
     tried, left = theta.copy(), np.arange(rows.size)
     for part in _PARTS:
         those = rows[left]
@@ -198,23 +223,23 @@ def _times(matrices: Array, vectors: Array) -> Array:
 
 
 def _whitened(jacobian: AnyArray, off_n: AnyArray, variance: Array) -> tuple[Array, Array]:
-    """Derivatives (m, 2 k, n) and residuals (m, 2 k), real parts first, in standard deviations."""
+    """Derivatives (m, 2 k, n) and residuals (m, 2 k) in units of standard deviations; real parts first."""
     weight = 1.0 / np.sqrt(variance)
     residual, slopes = off_n * weight, jacobian * weight[..., None]
     return np.concatenate((slopes.real, slopes.imag), axis=1), np.concatenate((residual.real, residual.imag), axis=1)
 
 
 def _covariances(white: Array, random: Array, variance: Array, priors: _Priors) -> tuple[Array, Array]:
-    """Posterior covariances (m, n, n), zero for fixed parameters, and the part of them that comes from what averages out.
+    """Posterior covariances (m, n, n), zero for fixed parameters, and the part of them that averages out over windows.
 
-    white: derivatives (m, 2 k, f) by the free parameters.
+    white: whitened derivatives with respect to the free parameters, (m, 2 k, f).
     """
     across = white.swapaxes(1, 2)
     small = np.linalg.inv(across @ white + priors.precision)
     share = random / variance
     both = np.concatenate((share, share), axis=1)
     noise = across @ (both[..., None] * white)
-    # The paddles' scatter is drawn anew in every window, as noise is.
+    # The paddles' scatter is independent between windows, like noise.
     places = np.flatnonzero(priors.own)
     noise[:, places, places] += priors.precision[:, places, places]
     count, n = priors.sd.shape
@@ -247,7 +272,7 @@ def _results(
     if not known.any():
         return [no_estimate(pulses, row) for row in theta]
     if not known.all():
-        # What has no value must not reach the inverses.
+        # Rows that are not finite must not reach the matrix inversions.
         rows = np.flatnonzero(known)
         of_rows = _Priors(pulses, shown.patterns[rows], priors.flow_sd)
         kept = _results(pulses, shown.at(rows), theta[rows], at.at(rows), converged[rows], of_rows)
@@ -296,29 +321,29 @@ def _results(
 
 
 def rise(pulses: PulseModel, shown: WaveBatch, free: Array, held: Array, mean: Array, flow_sd: float) -> float:
-    """What a prior of the flow adds to the least sum of squares, residuals and priors together, of one window.
+    """Increase of one window's least sum of squares (residuals and priors) by a prior of the flow.
 
     Parameters
     ----------
     pulses : PulseModel
     shown : WaveBatch
-        Of this window alone.
+        The wave of this window alone.
     free, held : ndarray (n,)
-        Where that sum is least without the prior of the flow and with it.
+        Parameters with the least sum, without the prior of the flow and with it.
     mean : ndarray (n,)
-        Of the priors.
+        Means of the priors.
     flow_sd : float
-        Of the flow's logarithm.
+        Prior standard deviation of ln volume flow.
 
     Returns
     -------
     float
-        0 or more; nan where the model has no wave.
+        0 or more; nan if the model gives no wave.
     """
     both = np.stack((free, held))
     one = np.repeat(0, 2)
     at = pulses.linearised(both, shown.speeds_rad_s[one], shown.angles_rad[one])
-    # One variance for both: that of the fit which comes nearer to the pulses.
+    # The same variance for both: that at the fit without the prior of the flow.
     variance = shown.random + pulses.lasting_variance(at.envelope[:1])
     priors = _Priors(pulses, shown.patterns, flow_sd)
     away = both[:, priors.free] - mean[priors.free]
@@ -331,13 +356,13 @@ def rise(pulses: PulseModel, shown: WaveBatch, free: Array, held: Array, mean: A
 def information(
     pulses: PulseModel, theta: Array, *, elevator_speed_rad_s: float, plate_angle_rad: float, noise_n: Array, patterns: float
 ) -> tuple[Array, Array]:
-    """What a window can determine, before it is measured: posterior covariance and its part that averages out, both (n, n).
+    """Expected posterior covariance of a window before it is measured, and the part that averages out, both (n, n).
 
     Parameters
     ----------
     pulses : PulseModel
     theta : ndarray (n,)
-        Parameters at which, in the order of `pulses.names`.
+        Parameters in the order of `pulses.names`.
     elevator_speed_rad_s, plate_angle_rad : float
         Of the window, rad/s and rad.
     noise_n : ndarray (k,)

@@ -17,41 +17,41 @@ from .arrival_expansion import SHAPES, ArrivalExpansions, Expanded, spectrum_and
 from .arrival_law import ArrivalLaw, law_and_slope
 
 SHAPE_NAMES = ("log_volume_flow", "log_friction", "log_shape_ratio", "log_stretch", "log_tail")
-"""Parameters that move the pulse before the cell; natural logarithms, so that a change is a relative one."""
+"""Parameters of the pulse before the cell; natural logarithms, so that changes are relative."""
 
 COMMON_NAMES = (*SHAPE_NAMES, "log_cell", "shift_s", "log_gain")
-"""All parameters but the paddles' own scatter, which follow as scatter_1, scatter_2, ... in the order of the pattern."""
+"""All parameters except the scatter of each paddle; these follow as scatter_1, scatter_2, ... in the order of the pattern."""
 
 FLOW, STRETCH, TAIL, CELL, SHIFT, GAIN = 0, 3, 4, 5, 6, 7
-"""Places of parameters among these names."""
+"""Indices of parameters among these names."""
 SHAPE_COUNT = len(SHAPE_NAMES)
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class PulseSettings:
-    """What is known of machine and cell before a pulse is seen.
+    """Priors of machine and cell.
 
     Attributes
     ----------
     harmonics : int
         Harmonics of the paddle pattern that are fitted.
     model_error : float
-        Standard deviation of the model's own error, relative, at each harmonic; it does not average out over windows.
+        Relative standard deviation of the model error at each harmonic; it does not average out over windows.
     edge_release : float
-        1: the housing ends at the release angle; 0: it lets the whole heap go at once.
+        1: the housing ends at the release angle; 0: it releases the whole heap at once.
     cell_response_s : float
         Time constant of plate and cell, critically damped; 0 for none.
     scatter : float
-        Relative standard deviation of one pulse's impulse about what its load gives.
+        Relative standard deviation of a pulse's impulse about that of its load.
     vibration_n : float
-        Amplitude of vibration at paddle passing that is not known, N.
+        Unknown amplitude of vibration at the paddle passing frequency, N.
     arrival : ArrivalLaw
-        From a calibration (`arrival_calibration.law_of`); straight paths where none was made.
+        From a calibration (`arrival_calibration.law_of`); default: straight paths.
     indexed : bool
-        The phase of the pattern is counted from an index on the chain: shifts are small and the arrival law's delay holds.
+        The phase of the pattern is relative to an index on the chain: shifts are small and the arrival law's delay applies.
     sd : mapping
-        Prior standard deviations of the parameters by name (relative for log_*, s for shift_s); 0 holds one fixed.
+        Prior standard deviations of the parameters by name (relative for log_*, s for shift_s); 0: fixed.
     """
 
     harmonics: int = 24
@@ -76,14 +76,15 @@ class PulseSettings:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """Model at points: harmonics (m, k), derivatives (m, k, n), and the size (m, k) to which the model's error is relative."""
+    """Linearised model: harmonics (m, k), derivatives (m, k, n), and the amplitude (m, k) to which the model error is
+    relative."""
 
     waves: AnyArray
     jacobian: AnyArray
     envelope: Array
 
     def put(self, rows: AnyArray, others: Linear) -> None:
-        """Take these rows from others."""
+        """Replace rows by others."""
         self.waves[rows], self.jacobian[rows], self.envelope[rows] = others.waves, others.jacobian, others.envelope
 
     def at(self, rows: AnyArray) -> Linear:
@@ -99,8 +100,8 @@ class PulseModel:
     model : ForwardModel
         Machine and named effects.
     parameters : mapping
-        Grain and effects by name; friction and shape_ratio are the priors' means. density only sets what mass a volume has for
-        effects that act on mass, and the gain is free.
+        Grain and effects by name; friction and shape_ratio are the means of their priors. density only converts volume to mass
+        for effects that depend on mass, and the gain is free.
     settings : PulseSettings
     """
 
@@ -130,7 +131,7 @@ class PulseModel:
         return np.array([*head, *np.zeros(len(self._gaps))])
 
     def prior_sd(self, patterns: float) -> Array:
-        """Prior standard deviations (n,); the paddles' scatter shrinks with the patterns averaged."""
+        """Prior standard deviations (n,). That of the paddles' scatter decreases with the number of averaged patterns."""
         own = self.settings.scatter / np.sqrt(max(patterns, 1.0))
         sd, law = dict(self.settings.sd), self.settings.arrival.covariance
         sd |= {"log_stretch": np.sqrt(law[0]), "log_tail": np.sqrt(law[1])}
@@ -141,7 +142,7 @@ class PulseModel:
         return np.array([*(float(sd[name]) for name in COMMON_NAMES), *np.full(len(self._gaps), own)])
 
     def prior_precision(self, patterns: float) -> Array:
-        """Inverse prior covariance (n, n); zero rows for what is held."""
+        """Inverse prior covariance (n, n); rows of fixed parameters are 0."""
         sd = self.prior_sd(patterns)
         free = sd > 0.0
         precision = np.diag(np.where(free, np.where(free, sd, 1.0) ** -2.0, 0.0))
@@ -160,21 +161,21 @@ class PulseModel:
         return arrivals(throw, self._mass_kg(flow, self._gaps, speed_rad_s), edge_release=self.settings.edge_release)
 
     def fill(self, flow: Array, elevator_speed_rad_s: ArrayLike) -> Array:
-        """Loads over a full paddle; flow and speed broadcast against the paddles."""
+        """Ratio of each paddle's load to a full one; flow and speed broadcast against the paddles."""
         return np.asarray(self._mass_kg(flow, self._gaps, np.asarray(elevator_speed_rad_s)) / self.full_paddle_kg)
 
     def mean_fill(self, volume_flow_m3_s: float, elevator_speed_rad_s: float) -> float:
-        """Load over a full paddle, mean of the paddles."""
+        """Mean ratio of the paddles' loads to a full one."""
         mean_gap_m = self.machine.pattern_length_m / self._gaps.size
         return float(self._mass_kg(volume_flow_m3_s, mean_gap_m, elevator_speed_rad_s) / self.full_paddle_kg)
 
     def _mass_kg(self, volume_flow_m3_s: Array | float, gap_m: Array | float, elevator_speed_rad_s: ArrayLike) -> Array:
-        """On paddles that follow others by these gaps; all broadcast."""
+        """Mass on paddles with these gaps to the paddle before, kg; all broadcast."""
         speed_m_s = self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
         return np.asarray(volume_flow_m3_s * self.parameters["density"] * gap_m / speed_m_s)
 
     def frequencies_rad_s(self, elevator_speed_rad_s: ArrayLike) -> Array:
-        """Of the harmonics, (..., k) for speeds (...)."""
+        """Angular frequencies of the harmonics, (..., k), for speeds (...)."""
         base = 2.0 * np.pi / self.machine.pattern_length_m * self.machine.paddle_speed_m_s(np.asarray(elevator_speed_rad_s))
         return np.asarray(base[..., None] * np.arange(1.0, self.settings.harmonics + 1.0))
 
@@ -193,9 +194,9 @@ class PulseModel:
         return np.asarray(waves / (1.0 + 1j * omega * late))
 
     def thrown(self, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> AnyArray:
-        """Spectra before the cell and their derivatives by the free ones of the shape's parameters, (1 + free, m, paddles, k).
+        """Spectra before the cell and their derivatives with respect to the free shape parameters, (1 + free, m, paddles, k).
 
-        theta: (m, 5). Where arrivals have no expansion, by differences of the stages themselves.
+        theta: (m, 5). Points without an expansion of the arrivals use difference quotients of the model.
         """
         points = np.concatenate((theta[:, :SHAPES], np.log(speeds_rad_s)[:, None], angles_rad[:, None]), axis=1)
         finite = np.flatnonzero(np.all(np.isfinite(points), axis=1))
@@ -239,7 +240,7 @@ class PulseModel:
         return np.asarray(waves[[0, *(1 + i for i in self._free_shapes)]])
 
     def _by_differences(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
-        """The same for one point (5,), by central differences of the stages themselves, in one batch."""
+        """`thrown` for one point (5,) by central differences of the model, in one batch."""
         free = self._free_shapes
         batch = np.repeat(theta[None, :SHAPE_COUNT], 1 + 2 * len(free), axis=0)
         for row, i in enumerate(free):
@@ -249,9 +250,9 @@ class PulseModel:
         return np.concatenate((found[:1], (found[1::2] - found[2::2]) / (2.0 * _STEP)))
 
     def joined(self, shapes: AnyArray, theta: Array, speeds_rad_s: Array) -> tuple[AnyArray, AnyArray]:
-        """Each paddle's part of the pattern's harmonics behind the cell, and 1 + scatter applied.
+        """Each paddle's contribution to the pattern's harmonics behind the cell, without and with its scatter.
 
-        shapes: (..., m, paddles, k); theta: (m, n) or (1, n); speeds_rad_s: as many.
+        shapes: (..., m, paddles, k); theta: (m, n) or (1, n); speeds_rad_s: (m,) or (1,).
         """
         omega = self.frequencies_rad_s(speeds_rad_s)
         late_s = self._places / self.machine.paddle_speed_m_s(speeds_rad_s)[:, None] + theta[:, SHIFT, None]
@@ -280,7 +281,7 @@ class PulseModel:
         Returns
         -------
         Linear
-            Not finite at parameters so far off that they have no wave.
+            Not finite at parameters without a wave.
         """
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             return self.behind_cell(self.thrown(theta[:, :SHAPE_COUNT], speeds_rad_s, angles_rad), theta, speeds_rad_s)
@@ -300,12 +301,12 @@ class PulseModel:
         return Linear(waves, jacobian, self._envelope(plain[0], theta, omega))
 
     def _envelope(self, parts: AnyArray, theta: Array, omega: Array) -> Array:
-        """Size (m, k) to which the model's error is relative: that of pulses without width, behind the cell."""
+        """Amplitude (m, k) to which the model error is relative: that of infinitely short pulses behind the cell."""
         felt = np.abs(self._cell(omega, theta[:, CELL]))
         return np.asarray(np.abs(parts[..., 0]).sum(axis=-1)[:, None] / felt[:, :1] * felt)
 
     def lasting_variance(self, envelope: Array) -> Array:
-        """Variance (..., k) of real and imaginary part each, of what stays the same from window to window, N^2."""
+        """Variance of the real and of the imaginary part by errors that do not average out over windows, N^2, (..., k)."""
         variance = 0.5 * (self.settings.model_error * envelope) ** 2
         paddles = len(self._gaps)
         if variance.shape[-1] >= paddles:

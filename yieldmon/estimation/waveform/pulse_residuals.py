@@ -1,4 +1,4 @@
-"""What is left of samples once the mean pulses have been taken off, each pulse with a size, a time and a width of its own."""
+"""Samples minus the mean pulses, with an individual size, time and width of each pulse."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from .pattern_fold import FoldedPattern
 
 _TINY = 1e-150
 _LEAST_DETERMINANT = 1e-6
-"""Of the three changes' normal equations, each change scaled to one, below which a pulse's own are not separated."""
+"""Least determinant of the scaled normal equations with which a pulse's size, time and width are fitted."""
 _HALF_MISSING = -0.5
-"""Change of a pulse's size from which on there is too little of it to have a time."""
+"""Relative change of a pulse's size below which its time is not used."""
 _LEAST_OF_A_PULSE = 12
-"""Samples of a pulse that determine its size and time; of one cut off by the window's ends fewer may be left."""
+"""Least number of samples for a fit of a pulse; one at an end of the window may have fewer."""
 
 
 def residuals_of_pulses(
     samples_n: Sequence[Array], phases: Sequence[Array], folded: Sequence[FoldedPattern], spacings_m: Sequence[float]
 ) -> list[tuple[Array, Array]]:
-    """Samples less the mean pattern, of which each paddle's pulse has a size, a time and a width of its own, of several windows.
+    """Samples of several windows minus the mean pattern, with a size, time and width fitted to each pulse.
 
-    Paddles are not loaded alike, a heavier load arrives for longer, and the phase creeps by tenths of a millisecond: what that
-    leaves of a steep pulse is no noise. Size, time and width are those of least squares on the mean, its slope, and its slope
-    times the phase from the pulse's middle, between the valleys before and after the pulse.
+    Loads differ between paddles, a heavier load arrives over a longer time, and the phase drifts by tenths of a millisecond. The
+    residuals that these cause at a steep pulse are not noise. Size, time and width are fitted by least squares on the mean, its
+    slope, and its slope times the phase from the pulse's middle, between the valleys before and after the pulse.
 
     Parameters
     ----------
     samples_n, phases : sequence of ndarray (n,)
-        Of each window, as in `pattern_fold.fold_all`, in order.
+        Samples and phases of each window in order of time, as in `pattern_fold.fold_all`.
     folded : sequence of FoldedPattern
-        Each window's mean pattern, with a sample in every bin; of as many bins for all.
-    spacings_m : sequence
-        Of the paddles in the pattern.
+        Mean pattern of each window, with a sample in every bin; all with the same number of bins.
+    spacings_m : sequence of float
+        Spacings of the paddles in the pattern.
 
     Returns
     -------
     list of tuple
-        A pair for each window, as if it were alone, to the last bit: what is left (n,), N; and how late each pulse comes (p,)
-        that the window's ends do not cut and that is half of the mean pulse or more, in turns of the pattern.
+        For each window, bit for bit independent of the others: the residuals (n,), N; and the delay (p,) in turns of the pattern
+        of each pulse that is complete and has at least half the size of the mean pulse.
     """
     if not samples_n:
         return []
@@ -86,9 +86,9 @@ def residuals_of_pulses(
 
 
 def _steepness(means_n: Array, steps: Sequence[float]) -> Array:
-    """Slopes (w, b) of mean patterns, N a turn. steps: turns from one sample to the next, of each window.
+    """Slopes (w, b) of mean patterns, N per turn. steps: turns between successive samples of each window.
 
-    Over a sample's time: a sample is a mean over it, and bins that are finer only add their own noise.
+    The difference is taken over the time of a sample, since a sample is a mean over it, and finer bins only add noise.
     """
     bins = means_n.shape[1]
     steepness = np.empty_like(means_n)
@@ -100,7 +100,7 @@ def _steepness(means_n: Array, steps: Sequence[float]) -> Array:
 
 
 def _products(rows: Array) -> Array:
-    """Products (9, n) for the normal equations: squares of rows 0 to 2; of 0 and 1, 0 and 2, 1 and 2; of each with row 3."""
+    """Products for the normal equations, (9, n): squares of rows 0 to 2; rows 0 * 1, 0 * 2, 1 * 2; rows 0 to 2 times row 3."""
     products = np.empty((9, rows.shape[1]))
     np.multiply(rows[:3], rows[:3], out=products[:3])
     np.multiply(rows[0], rows[1:3], out=products[3:5])
@@ -110,15 +110,15 @@ def _products(rows: Array) -> Array:
 
 
 def _sizes_of_changes(products: Array) -> Array:
-    """Least squares (3, p) of three changes in what is left of p pulses; 0 where they are not separated.
+    """Least-squares changes of size, time and width of p pulses, (3, p); 0 if they cannot be separated.
 
-    products: (9, p), sums over a pulse's samples of `_products` of the mean, its slope, the slope times phase, and what is left.
+    products: sums of `_products` over each pulse's samples, (9, p). Rows: mean, slope, slope times phase, and residual.
     """
     scale = np.maximum(np.sqrt(products[:3]), _TINY)
     first, second, third = scale
     a, b, c = products[3] / (first * second), products[4] / (first * third), products[5] / (second * third)
     u, v, w = products[6:] / scale
-    # Changes scaled to one make a matrix with ones on its diagonal; its inverse is symmetric.
+    # Scaled to a unit diagonal; the inverse is symmetric.
     aa, bb, cc, of_ab, of_ac, of_bc = 1.0 - c * c, 1.0 - b * b, 1.0 - a * a, b * c - a, a * c - b, a * b - c
     determinant = aa + a * of_ab + b * of_ac
     known = determinant > _LEAST_DETERMINANT
@@ -127,7 +127,7 @@ def _sizes_of_changes(products: Array) -> Array:
 
 
 def _between(patterns_n: Array, phase: Array, window: NDArray[np.intp]) -> Array:
-    """Patterns (p, w, b) at phases (n,) of windows (n,), straight between the bins' middles: (p, n)."""
+    """Patterns (p, w, b) at phases (n,) of windows (n,), linearly interpolated between the bins' middles, (p, n)."""
     count, windows, bins = patterns_n.shape
     place = (phase - np.floor(phase)) * bins + 0.5
     before = place.astype(np.intp)
@@ -140,7 +140,7 @@ def _between(patterns_n: Array, phase: Array, window: NDArray[np.intp]) -> Array
 
 
 def _valleys(means_n: Array, edges: Array) -> Array:
-    """The phases (w,) from which on `edges` cut each mean pattern (w, b) where it is lowest."""
+    """Phase (w,) at which `edges` must begin to cut each mean pattern (w, b) where it is lowest."""
     bins = means_n.shape[1]
     broad = max(1, bins // 56)
     sums = np.cumsum(np.concatenate((means_n[:, -broad - 1 :], means_n, means_n[:, :broad]), axis=1), axis=1)

@@ -1,9 +1,9 @@
 """Volume flow of grain from the shape of the paddles' pulses.
 
-The mean force gives flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) changes no sample. But
-how deep a heap is, and with it when its grain arrives, depends on flow / density alone. This module fits the forward model's
-pulses (`yieldmon.physics.pulse`) to the harmonics of the paddle pattern and gives that quotient, the volume flow, with its
-covariance; the pulses' size is left free.
+The mean force determines the flow only together with density and impact gain: (flow, density, 1 + e) -> (a, a, 1/a) does not
+change any sample. But the depth of a heap, and with it the arrival times of its grain, depend on flow / density alone. This
+module fits the forward model's pulses (`yieldmon.physics.pulse`) to the harmonics of the paddle pattern and determines that
+ratio, the volume flow, with its covariance. The size of the pulses is a free parameter.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .pulse_fit import PulseEstimate, WaveBatch, fitted, no_estimate, rise
 from .pulse_model import FLOW, GAIN, SHAPE_COUNT, SHIFT, PulseModel
 
 _SCAN = np.geomspace(0.06, 0.9, 16)
-"""Fills (load over a full paddle) at which a start is looked for."""
+"""Fills (ratio of load to a full paddle) that are tried as a start."""
 _SHIFTS = 256
 _SIDE_BY_SIDE = 64
-"""Windows fitted at once: enough to share the cost of array operations, few enough for the cache."""
+"""Number of windows fitted at once: large enough for efficient array operations, small enough for the cache."""
 _INDEX_REACH_S = 0.015
 
 
@@ -37,16 +37,16 @@ def estimate(
     wave : PatternWave
         With `harmonics` amplitudes.
     start : ndarray (n,), optional
-        Where to begin; default: looked for over all fills and shifts.
+        Start; default: the best of all fills and shifts.
     centre : ndarray (n,), optional
         Means of the priors; default: the settings' own, at the start's flow, shift and gain.
     iterations : int
-        Steps at most.
+        Largest number of steps.
 
     Returns
     -------
     PulseEstimate
-        converged is False where no step settled; its values are then the last ones.
+        `converged` is False if the iteration did not converge; the values are then those of the last step.
     """
     theta = look_for_start(pulses, wave) if start is None else np.array(start, dtype=float)
     mean = _own_centres(pulses, theta[None]) if centre is None else np.asarray(centre, dtype=float)[None]
@@ -59,9 +59,9 @@ def estimate(
 def estimate_near(
     pulses: PulseModel, waves: Sequence[PatternWave], volume_flows_m3_s: Sequence[float], *, iterations: int = 15
 ) -> list[PulseEstimate]:
-    """Fit the pulses to many waves side by side, each begun at a volume flow that is nearly known.
+    """Fit the pulses to many waves at once, each starting at an approximately known volume flow.
 
-    Shift and gain are those of the best correlation over the whole pattern. An answer does not depend on the waves beside it.
+    Shift and gain start at the best correlation over the whole pattern. A result does not depend on the other waves.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def estimate_near(
     Returns
     -------
     list of PulseEstimate
-        nan where the flow is above what the paddles hold.
+        nan if the flow exceeds the capacity of the paddles.
     """
     found: list[PulseEstimate] = []
     for first in range(0, len(waves), _SIDE_BY_SIDE):
@@ -99,10 +99,10 @@ def deviations_from(
     *,
     iterations: int = 15,
 ) -> float:
-    """How far pulses are from those of a volume flow that is known otherwise, by a second fit that is held there.
+    """Deviation of pulses from those of an otherwise known volume flow, by a second fit at that flow.
 
-    The difference of two flows over their deviations takes the model as a line; where a heap of another shape puts the fit far
-    away, it is none.
+    The difference of two flows in standard deviations would assume a linear model, which is not justified if the fitted flow is
+    far away because of a heap of another shape.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def deviations_from(
     Returns
     -------
     float
-        Root of what the sum of squares rises by, in standard deviations; nan where nothing of that flow fits.
+        Root of the increase of the sum of squares, in standard deviations; nan if no pulses of that flow fit.
 
     Source: Wilks, Ann. Math. Statist. 9 (1938), on the ratio of likelihoods.
     """
@@ -138,7 +138,7 @@ def deviations_from(
 
 
 def _aligned(pulses: PulseModel, shown: WaveBatch, waves: AnyArray) -> tuple[Array, Array]:
-    """Shift (s) and ln gain (m,) with which waves (m, k) come nearest; nan where none does."""
+    """Shift (s) and ln gain, (m,), with which waves (m, k) fit best; nan if none fits."""
     envelope = np.abs(shown.amplitudes_n)
     lasting = pulses.lasting_variance(envelope) + 1e-6 * envelope.max(axis=1, keepdims=True) ** 2
     weight = 1.0 / (shown.random + lasting)
@@ -156,7 +156,7 @@ def _aligned(pulses: PulseModel, shown: WaveBatch, waves: AnyArray) -> tuple[Arr
 
 
 def _own_centres(pulses: PulseModel, theta: Array) -> Array:
-    """The priors' means (m, n) at the starts' flow, shift and gain."""
+    """Means of the priors (m, n), with flow, shift and gain of the start."""
     mean = np.tile(pulses.start(1.0), (len(theta), 1))
     mean[:, [FLOW, GAIN]] = theta[:, [FLOW, GAIN]]
     mean[:, SHIFT] = 0.0 if pulses.settings.indexed else theta[:, SHIFT]
@@ -164,7 +164,7 @@ def _own_centres(pulses: PulseModel, theta: Array) -> Array:
 
 
 def look_for_start(pulses: PulseModel, wave: PatternWave) -> Array:
-    """Fill, shift and gain that come nearest, over all fills and all shifts of the pattern."""
+    """Parameters of the best fit over all fills and shifts of the pattern."""
     speed, angle = wave.elevator_speed_rad_s, wave.plate_angle_rad
     p, machine = pulses.parameters, pulses.machine
     flows = _SCAN * pulses.full_paddle_kg / p["density"] * machine.paddle_speed_m_s(speed) / machine.paddle_spacing_m

@@ -1,8 +1,8 @@
-"""What pulses that come early or late leave in the noise of kernels.
+"""Contribution of early or late pulses to the noise attributed to kernels.
 
-The phase of the paddle pattern comes from a few speeds a second and from spacings that are taken for exact. A chain that jerks or
-a paddle that is bent puts pulses out of place, and what is then left of them looks like kernels. How far they are out of place
-shows in their own times, of which the kernels explain a part.
+The phase of the paddle pattern is computed from a few speed samples per second and nominal spacings. A jerking chain or a bent
+paddle displaces pulses, and their residuals look like kernel noise. The displacement is measured by the pulses' times, part of
+whose scatter is caused by the kernels themselves.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from yieldmon.physics.numerics import Array, median
 
 _LEAST_PULSES = 20
 _MOST_BLURRED = 3.0
-"""Exponent up to which a mean of pulses out of place is made as steep as they are; beyond, its own chance would be."""
+"""Largest exponent with which the blurring of the mean pulse by displacements is undone; beyond it noise would be amplified."""
 
 
 @dataclass(frozen=True, slots=True)
 class PulseTimes:
-    """Of one window.
+    """Times of the pulses in one window.
 
     Attributes
     ----------
     away_s : ndarray (p,)
-        Each pulse's time after the median of them.
+        Time of each pulse relative to their median.
     left_n2 : float
-        Mean square that pulses so far from the mean pulse leave in the band.
+        Mean square in the band caused by pulses displaced by `away_s`.
     by_kernels_s_n : float
-        Variance of such a time by chance for each newton second of a kernel's impulse, s/N.
+        Variance of a pulse's time by kernel noise per impulse of a kernel, s/N.
     frequency_hz, steepness_n2_s2 : ndarray (k,)
-        Mean square of the mean pulse's slope at the frequencies of the band: times the variance of the pulses' times it is what
-        they leave there.
+        Mean square of the mean pulse's slope at the frequencies of the band. Multiplied by the variance of the pulses' times it
+        is the mean square that they cause.
     """
 
     away_s: Array
@@ -45,18 +45,18 @@ class PulseTimes:
 
 
 def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: float, low_hz: float, high_hz: float) -> PulseTimes:
-    """The times of a window's pulses, and what they stand for.
+    """Times of a window's pulses, and their effect on the noise in the band.
 
     Parameters
     ----------
     late_turns : ndarray (p,)
-        In turns of the pattern, of whole pulses (`pattern_fold.residual_of_pulses`).
+        Delay of complete pulses in turns of the pattern (`pulse_residuals.residuals_of_pulses`).
     mean_n : ndarray (b,)
         Mean pulses over the pattern, N.
     pulses : int
-        Of the pattern.
+        Number of pulses in the pattern.
     pattern_s : float
-        In which the pattern passes.
+        Duration of one turn of the pattern, s.
     low_hz, high_hz : float
         Ends of the band.
 
@@ -69,7 +69,7 @@ def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: flo
     bins = mean_n.size
     waves = np.fft.rfft(mean_n) / bins
     frequency = np.arange(waves.size) / pattern_s
-    # Beyond the band there is little but the chance of the mean.
+    # Above the band the mean contains little but noise.
     slopes = np.where(frequency <= high_hz, 2.0j * np.pi * frequency * waves, 0.0)
     within = (frequency > 0.0) & (frequency >= low_hz) & (frequency <= high_hz)
     steepness = 2.0 * np.abs(slopes[within]) ** 2
@@ -80,29 +80,29 @@ def pulse_times(late_turns: Array, mean_n: Array, *, pulses: int, pattern_s: flo
     late_s = late_turns * pattern_s
     away_s = late_s - median(late_s) if late_s.size else late_s
     turned_s = 2.0 * np.pi * frequency[within]
-    # Of a pulse far out of place no more is left than it and the mean pulse hold.
+    # The residual of a pulse that is displaced by far is limited to its own power and that of the mean pulse.
     apart_s2 = (2.0 - 2.0 * np.cos(turned_s[:, None] * away_s)).sum(axis=1) / (max(away_s.size, 1) * turned_s**2)
     return PulseTimes(away_s, float((steepness * apart_s2).sum()), by_kernels, frequency[within], steepness)
 
 
 def misplaced_share(windows: Sequence[PulseTimes], impulse_n_s: float, power_n2: Sequence[float]) -> float:
-    """Share of the noise in the band that pulses out of place have left there.
+    """Share of the noise in the band that is caused by displaced pulses.
 
-    Where most of them are out of place, as by a chain that jerks, their mean is less steep than they are, by a Gaussian of the
-    scatter of the middle half; a few, as of a bent paddle, do not blur it.
+    If most pulses are displaced, for example by a jerking chain, their mean is blurred by a Gaussian with the scatter of the
+    middle half of the displacements. A few displaced pulses, for example of a bent paddle, do not blur it.
 
     Parameters
     ----------
     windows : sequence of PulseTimes (w,)
     impulse_n_s : float
-        Of a kernel, by the noise.
+        Impulse of a kernel, from the noise.
     power_n2 : sequence of float (w,)
         Mean square in the band beyond the empty machine's, of each window.
 
     Returns
     -------
     float
-        0 where kernels explain the pulses' times, with fewer than twenty pulses, and without noise.
+        0 if kernel noise explains the pulses' times, for fewer than twenty pulses, or without noise.
     """
     whole = float(sum(power_n2))
     pulses = sum(window.away_s.size for window in windows)

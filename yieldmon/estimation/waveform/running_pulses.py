@@ -1,7 +1,7 @@
-"""Mean pulses of the last windows, each kind of load by itself.
+"""Running mean pulses, separately for each range of force, plate angle and speed.
 
-What is left of the samples once the mean pulse has been taken off is noise only where that mean is of pulses like them: their
-width goes with the load, the plate and the speed.
+The samples minus a mean pulse are noise only if that mean is of similar pulses, since their width depends on load, plate angle
+and speed.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from .pattern_fold import FoldedPattern
 
 _BINS = 512
 _KEEP = 0.95
-"""What of a running mean a further window of its kind leaves."""
+"""Factor on the weight of earlier windows for each further window of the same kind."""
 _LEAST_SAMPLES = 2.0
 _FORGOTTEN_AFTER = 60
-"""Windows since the last one of a kind after which its mean no longer stands for it: pulses change with the grain."""
+"""Number of windows without one of a kind after which its mean is dropped, since pulses change with the grain."""
 _LOG_FORCE, _ANGLE_RAD, _LOG_SPEED = 0.1, float(np.deg2rad(2.0)), 0.03
-"""Steps by which pulses are distinguished."""
+"""Widths of the classes of pulses: ln force, plate angle, ln speed."""
 _MOST_LATE = 0.05
-"""Of a turn, how far a window's pulses may lie from the mean of their kind; a paddle's pulse is half a turn or less."""
+"""Largest delay of a window's pulses from their mean, in turns; a paddle's pulse is half a turn or less."""
 _PLACES = 129
-"""Looked at within that on either side, of which the best and its neighbours make a parabola."""
+"""Number of delays that are tried within that range; a parabola through the best one and its neighbours is used."""
 _BETWEEN_BINS = 2.0 / 3.0
-"""Of a bin's variance, what the straight line between two bins has in the mean."""
+"""Mean variance of a linear interpolation between two bins, relative to a bin's variance."""
 
 
 @dataclass(slots=True)
@@ -51,12 +51,12 @@ class RunningPulses:
     def take(
         self, samples_n: Array, phase: Array, *, mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float
     ) -> tuple[FoldedPattern, float] | None:
-        """The mean of earlier windows like this one, which then joins them.
+        """The mean of earlier windows of the same kind; the window is then added to it.
 
         Parameters
         ----------
         samples_n, phase : ndarray (n,)
-            As in `pattern_fold.fold_all`, the phase counted from the pulses themselves.
+            As in `pattern_fold.fold_all`, with the phase relative to the pulses.
         mean_force_n : float
             Above 0.
         plate_angle_rad, elevator_speed_rad_s : float
@@ -65,8 +65,7 @@ class RunningPulses:
         Returns
         -------
         tuple or None
-            The mean pattern, and by what share of a sample's variance its own chance adds to that of a difference; None where
-            too few such windows have been.
+            The mean pattern, and its variance by chance relative to that of a sample; None if there were too few such windows.
         """
         kind = _kind(mean_force_n, plate_angle_rad, elevator_speed_rad_s)
         self._windows += 1
@@ -90,22 +89,22 @@ class RunningPulses:
     def late_turns(
         self, amplitudes_n: AnyArray, *, mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float
     ) -> float:
-        """How much later a window's pulses come than the mean of earlier windows like it.
+        """Delay of a window's pulses from the mean of earlier windows of the same kind.
 
-        A fit of the pulse model has a time of its own, but one that other parameters of the fit can stand for; on thin loads it
-        errs by milliseconds.
+        The time shift in a fit of the pulse model is correlated with other parameters, and its error is milliseconds at small
+        loads.
 
         Parameters
         ----------
         amplitudes_n : ndarray (k,)
-            Harmonics 1 .. k of the window, as in `pattern_fold.PatternWave`, by the phase that `take` is given.
+            Harmonics 1 .. k of the window, as in `pattern_fold.PatternWave`, with the phase as in `take`.
         mean_force_n, plate_angle_rad, elevator_speed_rad_s : float
             As in `take`.
 
         Returns
         -------
         float
-            Turns of the pattern, where the two correlate most; 0 where there is no such mean yet, or none within reach.
+            Turns of the pattern with the largest correlation; 0 if there is no mean yet, or no maximum within range.
 
         Source: least squares of a shift under white noise is the largest correlation (Knapp and Carter, IEEE Trans. Acoust. 24
         (1976) 320).
@@ -126,13 +125,13 @@ class RunningPulses:
         return float((best + between) * 2.0 * _MOST_LATE / (_PLACES - 1) - _MOST_LATE)
 
     def _forget(self) -> None:
-        """Drop the kinds that have not been met for long, which come first."""
+        """Drop kinds without a recent window, which come first."""
         while self._kinds and self._windows - next(iter(self._kinds.values())).window > _FORGOTTEN_AFTER:
             self._kinds.popitem(last=False)
 
 
 def _kind(mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: float) -> tuple[int, int, int]:
-    """What windows have alike whose pulses are averaged."""
+    """Class of a window; pulses of the same class are averaged."""
     return (
         floor(log(mean_force_n) / _LOG_FORCE),
         round(plate_angle_rad / _ANGLE_RAD),
@@ -142,8 +141,8 @@ def _kind(mean_force_n: float, plate_angle_rad: float, elevator_speed_rad_s: flo
 
 @lru_cache(maxsize=4)
 def _shifts(harmonics: int) -> tuple[Array, Array]:
-    """Cosines and sines (places, harmonics) that bring pulses forward by each of the places within reach; a mean over a bin is
-    that at its middle."""
+    """Cosines and sines (places, harmonics) that advance pulses by each of the delays that are tried. The mean over a bin counts
+    at its middle."""
     late = np.linspace(-_MOST_LATE, _MOST_LATE, _PLACES) + 0.5 / _BINS
     turned = 2.0 * np.pi * np.outer(late, np.arange(1, harmonics + 1))
     factors: tuple[Array, Array] = np.cos(turned), np.sin(turned)

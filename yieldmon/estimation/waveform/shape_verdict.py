@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ShapeVerdict(IntEnum):
-    """Whether the pulses' shape gives a volume flow, else what stands in the way."""
+    """Whether the pulses' shape gives a volume flow, or the reason why not."""
 
     NOT_LOOKED_AT = 0
     USED = 1

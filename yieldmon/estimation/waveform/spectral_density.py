@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from yieldmon.physics.numerics import Array
 
 _HANN_NEIGHBOURS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
-"""Variance of a sum over frequencies over that of independent ones: correlation of a Hann spectrum with its next neighbours."""
+"""Ratio of the variance of a sum over frequencies to that of independent ones, since neighbours in a Hann spectrum correlate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +26,10 @@ class Density:
     ----------
     frequency_hz : ndarray (k,)
     density : ndarray (k,)
-        Two-sided, N^2/Hz, so that the sum over positive and negative frequencies times their spacing is the mean square.
+        Two-sided, N^2/Hz: its sum over positive and negative frequencies times their spacing is the mean square.
     averages : float
-        Independent segments that were averaged, as far as sums over many frequencies go: neighbours that share their noise count
-        as fewer segments.
+        Effective number of independent averaged segments for sums over many frequencies; it is reduced by the correlation of
+        neighbouring frequencies.
     """
 
     frequency_hz: Array
@@ -51,12 +51,12 @@ def densities(stretches_n: Sequence[Array], sample_interval_s: float, *, segment
         Evenly spaced samples, none missing.
     sample_interval_s : float
     segment : int
-        Samples in a segment; n must hold at least one.
+        Number of samples in a segment, at most n.
 
     Returns
     -------
     list of Density
-        Frequencies above 0 and below Nyquist; each as if its stretch were alone, to the last bit.
+        Frequencies above 0 and below Nyquist. Each density is bit for bit independent of the other stretches.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def _hann(segment: int) -> tuple[Array, float]:
 
 @lru_cache(maxsize=8)
 def _segments(count: int, segment: int) -> NDArray[np.intp]:
-    """Places (count, segment) of the samples of segments that overlap by half."""
+    """Indices (count, segment) of the samples in segments that overlap by half."""
     places = np.arange(count)[:, None] * (segment // 2) + np.arange(segment)
     places.flags.writeable = False
     return places
@@ -104,25 +104,25 @@ def _segments(count: int, segment: int) -> NDArray[np.intp]:
 
 @lru_cache(maxsize=8)
 def frequencies_hz(segment: int, sample_interval_s: float) -> Array:
-    """Of a density (k,), above 0 and below Nyquist."""
+    """Frequencies of a density, above 0 and below Nyquist, Hz, (k,)."""
     frequency: Array = np.asarray(np.fft.rfftfreq(segment, sample_interval_s)[1:-1], dtype=np.float64)
     frequency.flags.writeable = False
     return frequency
 
 
 def expected_averages(duration_s: float, sample_interval_s: float, *, segment: int = 256) -> float:
-    """`averages` of the density of a long stretch of samples."""
+    """`Density.averages` of a long stretch of samples."""
     return duration_s / (segment * sample_interval_s) * 2.0 / (1.0 + 2.0 / 36.0) / _HANN_NEIGHBOURS
 
 
 def in_pulses(found: Density, crest: float) -> Density:
-    """A density of shot noise that comes in pulses: kernels strike for part of the time, and fewer of them average out less.
+    """A density of shot noise in pulses. Kernels strike during part of the time only, so that the density averages out less.
 
     Parameters
     ----------
     found : Density
     crest : float
-        Mean square of the pulses over the square of their mean.
+        Mean square of the force divided by the square of its mean.
     """
     return replace(found, averages=found.averages / crest)
 

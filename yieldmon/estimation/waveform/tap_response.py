@@ -1,9 +1,9 @@
-"""The time constant of plate and force cell, from taps on the plate.
+"""Time constant of plate and force cell, from taps on the plate.
 
-A tap is short beside the answer of plate and cell, so that what the cell shows is their impulse response. The model of it is
-the critically damped one that pulses and kernel noise are seen through (`physics.machine.ImpactSensor.response_s`):
-F(t) = impulse (t - t0) / tau^2 exp(-(t - t0) / tau). Each tap is fitted alone (time constant and instant by least squares, size
-and rest within them in closed form), so that their scatter says how well the constant is known.
+A tap is short compared with the response of plate and cell, so the cell measures their impulse response. It is modelled as
+critically damped, as for pulses and kernel noise (`physics.machine.ImpactSensor.response_s`):
+F(t) = impulse (t - t0) / tau^2 exp(-(t - t0) / tau). Each tap is fitted separately (time constant and time by nonlinear least
+squares, size and offset in closed form), so that the scatter between taps gives the uncertainty of the time constant.
 
 Source: the response of a second-order system, e.g. Ogata, "Modern Control Engineering", 5th ed., section 5-3.
 """
@@ -23,33 +23,33 @@ from yieldmon.physics.numerics import Array
 
 LEAST_TAPS = 5
 _CLEAR = 20.0
-"""Height of a tap over the noise."""
+"""Least height of a tap relative to the noise."""
 _BEFORE_S, _AFTER_S = 0.03, 0.15
 _APART_S = 0.3
 _RINGING = 0.1
-"""Rms of what a fit leaves, over the tap's height, beyond which plate and cell do not answer so."""
+"""Largest rms residual of a fit relative to the tap's height; beyond it the response is not critically damped."""
 _OUTLIER_SDS, _LEAST_SPREAD = 4.0, 0.01
 _CONTACT_SD_S = 4.6e-4
-"""Standard deviation of the instants of a force that lasts for 2 ms, which a tap's contact hardly outlasts."""
+"""Standard deviation of time within a force of 2 ms, about the longest contact of a tap."""
 _LEFT_OUT = ("beyond the sensor's range", "too close to another", "unlike the others")
 
 
 @dataclass(frozen=True)
 class TapResponse:
-    """What taps show.
+    """Result of `tap_response`.
 
     Attributes
     ----------
     response_s, std_dev_s : float
-        Time constant and its standard deviation, by the taps' scatter and by how long a tap may last.
+        Time constant and its standard deviation from the taps' scatter and the possible duration of a contact.
     each_s : ndarray (n,)
-        Of each tap that counts.
+        Time constant of each tap that is used.
     left_out : dict of str to int
-        Taps that do not count, by reason.
+        Number of taps that are not used, by reason.
     misfit : float
-        Rms of what the fits leave, over the taps' height; median.
+        Median rms residual of the fits relative to the taps' height.
     refused : str
-        Why this is no time constant to use, with the frequency at which plate and cell ring; "" where it is.
+        Why the time constant must not be used, with the frequency of ringing; "" if it can be used.
     """
 
     response_s: float
@@ -66,11 +66,11 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     Parameters
     ----------
     stretches : sequence of ndarray (k,)
-        Samples without a gap, mV.
+        Samples without gaps, mV.
     interval_s : float
-        Between samples, s.
+        Time between samples, s.
     full_scale_mv : float
-        Taps with samples at or beyond it do not count.
+        Taps with samples at or beyond it are not used.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     Raises
     ------
     ValueError
-        Where fewer than five taps stand clear of the noise.
+        If fewer than five taps can be used.
     """
     left_out = dict.fromkeys(_LEFT_OUT, 0)
     taps: list[Array] = []
@@ -97,7 +97,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     factor = float(student.ppf(0.8413, count - 1)) if count > 1 else 1.0
     found, refused = float(np.exp(np.mean(np.log(each)))), ""
     scatter_s = float(found * np.std(np.log(each), ddof=1) / np.sqrt(count) * factor)
-    # The answer's variance is 2 tau^2, and the contact's is added to it.
+    # The variance in time of the impulse response is 2 tau^2, and that of the contact is added to it.
     std_dev = float(np.hypot(scatter_s, _CONTACT_SD_S**2 / (4.0 * found)))
     if misfit > _RINGING:
         ringing_hz = _strongest_hz([fit[2] for fit, ok in zip(fits, counted, strict=True) if ok], interval_s)
@@ -111,7 +111,7 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
 
 
 def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dict[str, int]) -> list[Array]:
-    """Samples about each tap that counts, upwards from the rest."""
+    """Samples around each usable tap, relative to the rest value and with positive sign."""
     before, after, apart = (round(s / interval_s) for s in (_BEFORE_S, _AFTER_S, _APART_S))
     if samples.size <= before + after:
         return []
@@ -140,7 +140,7 @@ def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dic
 
 
 def _fitted(tap: Array, interval_s: float) -> tuple[float, float, Array]:
-    """ln time constant, relative misfit and what is left, (k,), of one tap."""
+    """ln time constant, relative rms residual, and relative residuals (k,) of one tap."""
     times = np.arange(tap.size) * interval_s
     peak = int(np.argmax(tap))
     height = float(tap[peak])
