@@ -28,7 +28,7 @@ def undo(parts: Parts) -> tuple[dict[int, MissedMass], LoadEvents]:
         raise ValueError("there is no zero calibration by an operator that could be undone")
     missed = parts.since_zero.missed(before.zero_mv, estimator, parts.loads.dry_kg, partial(remeasured_budgets, parts))
     open_load = totals.load_number if totals.load_open else NO_LOAD
-    unseen, since = parts.since_zero.unseen_again(before.zero_mv, estimator, open_load)
+    unseen, since = parts.since_zero.remeasured_unseen(before.zero_mv, estimator, open_load)
     nothing = MissedMass(budget=EMPTY)
     missed |= {number: replace(missed.get(number, nothing), unseen=change) for number, change in unseen.items()}
     parts.since_zero.clear()

@@ -12,8 +12,8 @@ import numpy as np
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.mass.budget import EMPTY, FlowBudget
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
+from yieldmon.engine.mass.remeasured_unseen import RemeasuredSecond, remeasured_unseen
 from yieldmon.engine.mass.unseen import UnseenChange, UnseenMass
-from yieldmon.engine.mass.unseen_again import SecondAgain, unseen_again
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.estimation.open_loop import FlowEstimate
@@ -139,10 +139,10 @@ class SinceZero:
             return missed
         return {n: replace(found, again_kg=nan if n in lacking else again_kg.get(n, nan)) for n, found in missed.items()}
 
-    def unseen_again(
+    def remeasured_unseen(
         self, zero_mv: float, estimator: FlowEstimator, open_load: int
     ) -> tuple[dict[int, UnseenChange], UnseenMass]:
-        """Mass that may have come unmeasured, by the right zero; arguments as of `missed`, result as of `unseen_again`.
+        """Mass that may have come unmeasured, by the right zero; arguments as of `missed`, result as of `remeasured_unseen`.
 
         open_load: number of the load that is open now.
         """
@@ -155,7 +155,7 @@ class SinceZero:
             counted_s, rate = _counted_s(second, self._min_coverage), rates.get(place, 0.0)
             before = second.mass_kg / counted_s if counted_s > 0.0 else 0.0
             seconds.append(
-                SecondAgain(
+                RemeasuredSecond(
                     load_number=second.load_number,
                     duration_s=second.duration_s,
                     covered_s=second.duration_s * second.coverage if isfinite(second.force_n) else 0.0,
@@ -167,7 +167,7 @@ class SinceZero:
                     hidden=second.mass_kg == 0.0 and rate > 0.0,
                 )
             )
-        return unseen_again(seconds, open_load)
+        return remeasured_unseen(seconds, open_load)
 
     def _again(self, zero_mv: float, estimator: FlowEstimator) -> _Again | None:
         """The seconds with grain, by this zero or as counted, measured again; None where there are none."""

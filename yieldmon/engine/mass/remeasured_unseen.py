@@ -11,7 +11,7 @@ from yieldmon.engine.mass.unseen import UnseenChange, UnseenMass
 
 
 @dataclass(frozen=True, slots=True)
-class SecondAgain:
+class RemeasuredSecond:
     """A second as it was counted, and as it is recomputed.
 
     Attributes
@@ -43,12 +43,12 @@ class SecondAgain:
     hidden: bool
 
 
-def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[int, UnseenChange], UnseenMass]:
+def remeasured_unseen(seconds: Sequence[RemeasuredSecond], open_load: int) -> tuple[dict[int, UnseenChange], UnseenMass]:
     """Compute the possible unmeasured mass of successive seconds, as `Loads.count` does second by second.
 
     Parameters
     ----------
-    seconds : sequence of SecondAgain
+    seconds : sequence of RemeasuredSecond
         In order of time.
     open_load : int
         Number of the load that is open after the last second; `NO_LOAD` for none.
@@ -60,8 +60,8 @@ def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[i
     UnseenMass
         State after the last second, with the restored zero.
     """
-    before, _ = _reckoned(seconds, [None if s.hidden else s.before_kg_s for s in seconds], open_load)
-    after, since = _reckoned(seconds, [s.after_kg_s for s in seconds], open_load)
+    before, _ = _unseen_by_load(seconds, [None if s.hidden else s.before_kg_s for s in seconds], open_load)
+    after, since = _unseen_by_load(seconds, [s.after_kg_s for s in seconds], open_load)
     hidden: dict[int, float] = {}
     for second in seconds:
         if second.hidden and not second.enough:
@@ -70,13 +70,13 @@ def unseen_again(seconds: Sequence[SecondAgain], open_load: int) -> tuple[dict[i
     return {n: UnseenChange(before.get(n, 0.0), after.get(n, 0.0), hidden.get(n, 0.0)) for n in numbers}, since
 
 
-def _reckoned(
-    seconds: Sequence[SecondAgain], rates: Sequence[float | None], open_load: int
+def _unseen_by_load(
+    seconds: Sequence[RemeasuredSecond], rates: Sequence[float | None], open_load: int
 ) -> tuple[dict[int, float], UnseenMass]:
     """Unmeasured mass by load number, kg, and the state after the last second. rates: flow of each second, kg/s; None if
     hidden."""
     found: dict[int, float] = {}
-    unseen, silences, number = UnseenMass(), _running(), NO_LOAD
+    unseen, silences, number = UnseenMass(), _while_running(), NO_LOAD
     for second, rate in zip(seconds, rates, strict=True):
         if second.load_number != number:
             _add(found, number, unseen.cut())
@@ -98,7 +98,7 @@ def _reckoned(
     return found, unseen
 
 
-def _running() -> Silences:
+def _while_running() -> Silences:
     """The state after a second in which the elevator ran."""
     silences = Silences()
     silences.lacks_nothing(1.0, None)
