@@ -163,8 +163,10 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     if args.params is None and args.estimator is None:
         parameters = recorded.last_parameters(Path(args.logs[0]))
     between = recorded.seconds_between_loads(Path(args.logs[0]), rows)
+    with recorded.opened(Path(args.logs[0])) as store:
+        sets = recorded.parameter_sets(store)
     found = measured_again(
-        rows, loaded.machine, parameters, loaded.engine, zero_mv=args.zero_mv, delay_s=args.delay, between=between
+        rows, loaded.machine, parameters, loaded.engine, sets=sets, zero_mv=args.zero_mv, delay_s=args.delay, between=between
     )
     with open_table(args.out, f".{args.format}" if args.format else None) as table:
         for row in found.rows:

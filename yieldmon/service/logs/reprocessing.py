@@ -1,12 +1,13 @@
 """A store's seconds measured again with other parameters, another zero or another delay: without the samples, which are gone.
 
 Kept of a second are mean force, its noise, speed, angle and moisture. The gate stays as it was: a second that was judged to be
-without grain has none, unless another zero says otherwise.
+without grain has none, unless another zero says otherwise. The standard deviation of its flow that is neither noise nor the
+parameters' (zero, moisture, the model's error) stays the same relative to the flow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,14 +43,32 @@ def measured_again(
     parameters: ParameterSet,
     settings: EngineSettings,
     *,
+    sets: Mapping[int, ParameterSet],
     zero_mv: float | None = None,
     delay_s: int = 0,
     between: Container[int] = (),
 ) -> Reprocessed:
     """The rows with flow, mass and totals of these parameters.
 
-    zero_mv: for all seconds; None: each its own. delay_s: place and speed of so many seconds earlier belong to a second's grain.
-    between: numbers of the seconds that belong to no load and count in the total alone.
+    Parameters
+    ----------
+    rows : sequence of SecondRow
+        In order, (n,).
+    machine : Machine
+    parameters : ParameterSet
+    settings : EngineSettings
+    sets : mapping of int to ParameterSet
+        Those that measured the rows, by version. Where a row's is missing its flow has no standard deviation.
+    zero_mv : float, optional
+        For all seconds, mV; None: each its own.
+    delay_s : int
+        Place and speed of so many seconds earlier belong to a second's grain.
+    between : container of int
+        Numbers of the seconds that belong to no load and count in the total alone.
+
+    Returns
+    -------
+    Reprocessed
     """
     force, zero = column(rows, "force_n"), column(rows, "zero_mv")
     counted = np.array([row.mass_kg > 0.0 for row in rows], dtype=bool)
@@ -59,6 +78,7 @@ def measured_again(
         covered = np.array([row.coverage > 0.0 and row.load_number > 0 and not row.surplus_frames for row in rows], dtype=bool)
         counted = covered & ((force > settings.gate.grain_on_n) | (counted & ~np.isfinite(force)))
     flow, std_dev = _flows(rows, machine, parameters, force, counted)
+    std_dev = np.hypot(std_dev, flow * _beyond(rows, machine, sets))
     out: list[SecondRow] = []
     total_kg, load_kg, load, unusable = 0.0, 0.0, -1, 0
     for i, row in enumerate(rows):
@@ -73,7 +93,7 @@ def measured_again(
             "noise_std_dev_kg_s": None,
         } | _places(rows, i, delay_s)  # fmt: skip
         if known:
-            changed |= {"mass_flow_kg_s": float(flow[i]), "std_dev_kg_s": float(std_dev[i])}
+            changed |= {"mass_flow_kg_s": float(flow[i]), "std_dev_kg_s": finite(float(std_dev[i]))}
             changed |= {"parameter_version": parameters.version, "force_n": float(force[i])}
         if zero_mv is not None and row.zero_mv is not None:
             changed |= {"zero_mv": zero_mv, "force_n": finite(float(force[i]))}
@@ -100,6 +120,30 @@ def _flows(
         )
         flow[usable], std_dev[usable] = found.mass_flow_kg_s, found.std_dev_kg_s
     return flow, std_dev
+
+
+def _beyond(rows: Sequence[SecondRow], machine: Machine, sets: Mapping[int, ParameterSet]) -> Array:
+    """Relative standard deviation of each row's flow beyond noise and parameters, (n,). That of the row before, or else of the
+    first, where it cannot be told, since nothing was counted; nan where nothing is known of the parameters."""
+    rate, stated, noise, force, version = (
+        column(rows, name) for name in ("mass_flow_kg_s", "std_dev_kg_s", "noise_std_dev_kg_s", "force_n", "parameter_version")
+    )
+    found = np.full(len(rows), np.nan)
+    counted = (rate > 0.0) & (force > 0.0) & np.isfinite(stated)
+    for number, parameters in sets.items():
+        of_version = counted & (version == number)
+        flow, std_dev = _flows(rows, machine, parameters, force, of_version)
+        with np.errstate(invalid="ignore"):
+            own_noise = flow * column(rows, "force_std_dev_n") / force
+            common = np.maximum((std_dev**2 - own_noise**2) / flow**2, 0.0)
+            # The published flow is filtered, and its noise no larger than that of the second.
+            in_all = (stated**2 - np.where(np.isfinite(noise), noise, own_noise) ** 2) / rate**2
+            found = np.where(of_version, np.sqrt(np.maximum(in_all - common, 0.0)), found)
+    known = np.flatnonzero(np.isfinite(found))
+    if not known.size:
+        return found
+    last = np.maximum.accumulate(np.where(np.isfinite(found), np.arange(len(rows)), known[0]))
+    return np.where(np.isin(version, list(sets)), found[last], np.nan)
 
 
 def loads_of_rows(before: Sequence[SecondRow], after: Sequence[SecondRow], between: Container[int] = ()) -> list[ReprocessedLoad]:
