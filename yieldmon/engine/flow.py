@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from yieldmon.engine.fast_dataclasses import maker_of
+from yieldmon.engine.flow_budget import flow_budget, without_noise
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.flow_filter import FlowFilter
 from yieldmon.engine.mass.budget import NO_BUDGET, FlowBudget, zero_std_dev_mv
@@ -51,7 +52,7 @@ class Flow:
         return isfinite(self.rate_kg_s)
 
 
-_flow, _flow_budget = maker_of(Flow), maker_of(FlowBudget)
+_flow = maker_of(Flow)
 
 
 class Estimate(NamedTuple):
@@ -169,7 +170,7 @@ class FlowMeter:
         settings, parameters = self._settings.budget, estimator.parameters
         noise = _noise(rate, own, reading)
         per_n = noise / reading.force_std_dev_n if reading.force_std_dev_n > 0.0 else _NAN
-        common, motion = max(0.0, std_dev**2 - noise**2) ** 0.5, 0.0
+        common, motion = without_noise(std_dev, noise), 0.0
         angle_rad, before_rad = reading.window.plate_angle_rad, self._angle_rad
         self._angle_rad = angle_rad
         if not (reading.still or reading.inputs.angle_stale):
@@ -185,14 +186,19 @@ class FlowMeter:
             # The parameters' own allowance for angles away from home is replaced by what sweeps show.
             away, at_home = angle_error_beyond(parameters, np.array([angle_rad, self._home_rad]))
             common = max(0.0, common**2 - max(0.0, away**2 - at_home**2) * per_error**2) ** 0.5
-        parameters_kg_s = hypot(common, circumstances.drift_sd * per_error)
-        if not reading.at_home:
-            # Each part by itself, so that noise still averages out.
-            factor = self._settings.sweep.max_std_dev_factor
-            noise, motion, parameters_kg_s = factor * noise, factor * motion, factor * parameters_kg_s
-        error = model_error.home if reading.at_home else model_error.at(reading.window.plate_angle_rad)
-        shared = hypot(parameters_kg_s, error * per_error)
-        return _flow_budget(noise, shared, zero_n * per_n, relative * rate, parameters_kg_s, per_error, motion, 0.0)
+        return flow_budget(
+            self._settings.sweep,
+            model_error,
+            angle_rad,
+            at_home=reading.at_home,
+            drift_sd=circumstances.drift_sd,
+            per_error_kg_s=per_error,
+            noise_kg_s=noise,
+            common_kg_s=common,
+            zero_kg_s=zero_n * per_n,
+            moisture_kg_s=relative * rate,
+            motion_kg_s=motion,
+        )
 
     def _hidden_kg_s(self, reading: Reading, rate: float, own: float | None) -> float:
         """Flow hidden by samples at the end of the sensor's range, kg/s. own: as in `_budget`."""

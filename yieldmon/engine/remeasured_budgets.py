@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from yieldmon.engine.flow_budget import flow_budget, without_noise
 from yieldmon.engine.mass.budget import FlowBudget, zero_std_dev_mv
 from yieldmon.engine.mass.moisture_reference import MoistureReference
 from yieldmon.engine.parts import Parts
@@ -17,7 +18,10 @@ from yieldmon.physics.numerics import Array
 
 
 def remeasured_budgets(parts: Parts, seconds: Sequence[KeptSecond], force_n: Array, found: FlowEstimate) -> list[FlowBudget]:
-    """The error budget of each second's flow by the parameters in use, as `FlowMeter` makes it except for the plate's motion.
+    """The error budget of each second's flow by the parameters in use.
+
+    It differs from that of `FlowMeter` in two points: the plate's motion is not known, and away from home the parameters'
+    allowance for angles beyond the calibrated ones is not replaced by the model error that sweeps show.
 
     Parameters
     ----------
@@ -59,19 +63,25 @@ class _Remeasured(NamedTuple):
 def _budget(parts: Parts, second: KeptSecond, flow: _Remeasured, moisture_sd: float, zero_age_s: float) -> FlowBudget:
     """moisture_sd: relative standard deviation of the flow by the grain's moisture."""
     settings, updater, measurement = parts.settings, parts.updater, parts.measurement
-    force, rate = flow.force_n, flow.rate_kg_s
+    force, rate, zero = flow.force_n, flow.rate_kg_s, 0.0
     share = second.force_std_dev_n / force if force > 0.0 else nan
     noise = rate * share if flow.noise_kg_s is None else flow.noise_kg_s
     per_error = noise / share if share > 0.0 else 0.0
-    if measurement.at_home(second.plate_angle_rad):
-        factor, error = 1.0, updater.load_error.home
-    else:
-        factor, error = settings.sweep.max_std_dev_factor, updater.load_error.at(second.plate_angle_rad)
-    parameters = factor * hypot(max(0.0, flow.std_dev_kg_s**2 - noise**2) ** 0.5, updater.drift_sd * per_error)
-    zero = 0.0
+    common = without_noise(flow.std_dev_kg_s, noise)
     if force > 0.0:
         # Where the wrong zero left little of the force, the noise stated with it contains little of the paddles' scatter.
         scatter_n = measurement.scatter_n(force, second.elevator_speed_rad_s, second.duration_s * second.coverage)
         noise = hypot(noise, scatter_n * per_error / force)
         zero = zero_std_dev_mv(settings.budget, zero_age_s) * parts.machine.sensor.gain_n_per_mv * per_error / force
-    return FlowBudget(factor * noise, hypot(parameters, error * per_error), zero, moisture_sd * rate)
+    return flow_budget(
+        settings.sweep,
+        updater.load_error,
+        second.plate_angle_rad,
+        at_home=measurement.at_home(second.plate_angle_rad),
+        drift_sd=updater.drift_sd,
+        per_error_kg_s=per_error,
+        noise_kg_s=noise,
+        common_kg_s=common,
+        zero_kg_s=zero,
+        moisture_kg_s=moisture_sd * rate,
+    )
