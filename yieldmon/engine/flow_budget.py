@@ -14,7 +14,8 @@ _flow_budget = maker_of(FlowBudget)
 
 def without_noise(std_dev_kg_s: float, noise_kg_s: float) -> float:
     """The part of a flow's standard deviation that is not noise, kg/s."""
-    return max(0.0, std_dev_kg_s**2 - noise_kg_s**2) ** 0.5
+    rest_kg_s: float = max(0.0, std_dev_kg_s**2 - noise_kg_s**2) ** 0.5
+    return rest_kg_s
 
 
 def flow_budget(
