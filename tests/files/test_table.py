@@ -133,6 +133,30 @@ def test_a_workbook_reads_as_its_table(tmp_path):
         table.load(tmp_path / "no.xlsx")
 
 
+@pytest.mark.parametrize(
+    ("filled", "said"),
+    [
+        (("", "rows", ""), []),
+        (("rows", "more"), ["t.xlsx: of its sheets rows is read; not read: more"]),
+        (("", "rows", "more", "other"), ["t.xlsx: of its sheets rows is read; not read: more, other"]),
+    ],
+    ids=["an empty one first", "two", "several"],
+)
+def test_of_a_workbooks_sheets_the_first_with_cells_is_read(tmp_path, monkeypatch, caplog, filled, said):
+    """An empty one before it made the table empty, and others were passed over without a word."""
+    openpyxl = pytest.importorskip("openpyxl")
+    monkeypatch.chdir(tmp_path)
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for number, name in enumerate(filled):
+        sheet = book.create_sheet(name or f"empty{number}")
+        for row in (["plate_angle_deg", "mass_flow_kg_s", "force_n"], [70, 12.5 + (name != "rows"), 100]) if name else ():
+            sheet.append(row)
+    book.save("t.xlsx")
+    assert list(table.load("t.xlsx").columns["mass_flow_kg_s"]) == [12.5]
+    assert [record.getMessage() for record in caplog.records] == said
+
+
 MAIN = b"http://schemas.openxmlformats.org/spreadsheetml/2006/main"
 
 

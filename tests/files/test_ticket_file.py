@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import date
+
 import pytest
 
 from yieldmon.errors import InputError
@@ -12,6 +14,8 @@ HEADINGS = [
     ("Load;Weighed [t]", "7;9,12", 9120.0),
     ("load;weighed_q", "7;91,2", 9120.0),
     ("LOAD\tNet weight (lb)", "7\t20106.16", 9120.0),
+    ("load,weighed_short_ton", "7,10.05308", 9120.0),
+    ("load,Net weight (short tons)", "7,10.05308", 9120.0),
     ("ticket,Load number,Net mass kg,driver", "A-12,7,9120,Ann", 9120.0),
 ]
 
@@ -79,3 +83,13 @@ def test_a_deviation_has_a_unit_of_its_own_and_a_ticket_several_loads(tmp_path, 
     path.write_text(f"load,weighed_t,std dev [kg]\n7{dash}9,27.4,20\n", encoding="utf-8")
     (found,) = load(path)
     assert (found.first, found.last, found.mass_kg, found.std_dev_kg) == ("7", "9", 27400.0, 20.0)
+
+
+def test_loads_of_which_a_spreadsheet_made_a_date_are_named(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["load", "weighed_kg"])
+    book.active.append([date(2026, 5, 3), 9120])
+    book.save(tmp_path / "t.xlsx")
+    with pytest.raises(InputError, match=r"line 2, load: is a date, 2026-05-03; expected the number of a load; of 3-5"):
+        load(tmp_path / "t.xlsx")

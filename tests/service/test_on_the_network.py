@@ -15,6 +15,7 @@ import pytest
 from tests.network.task_server import TaskServer, parse_pool
 from tests.service.bench import Bench, encoded, running, traffic, wait_for
 from yieldmon.bus.log_files.logs import read_log
+from yieldmon.bus.receiver import BusEvent, BusEventKind
 from yieldmon.cli import main as cli
 from yieldmon.network.identifier import (
     ACKNOWLEDGEMENT,
@@ -28,6 +29,7 @@ from yieldmon.network.name import Name
 from yieldmon.network.node import Node, NodeSettings
 from yieldmon.physics.machine import Implement
 from yieldmon.service.config import configuration
+from yieldmon.service.traffic.bus_node import BusNode
 from yieldmon.service.traffic.link import link_for
 from yieldmon.service.traffic.network_link import identity_number
 
@@ -121,6 +123,35 @@ def test_a_second_monitor_at_an_address_of_its_own_is_a_conflict(tmp_path: Path,
             bench.play(1, 0.0)
             bench.played()
         assert bench.faults.get("OutputConflict") == conflict
+
+
+def test_an_address_that_is_claimed_anew_was_not_taken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As after the interface was away: the log said that another node took it."""
+    (tmp_path / "c.yaml").write_text(TEXT)
+    loaded, now_s = configuration.load(tmp_path / "c.yaml", {}), [0.0]
+    node = BusNode(
+        loaded,
+        bus_factory=lambda: can.Bus(interface="virtual", channel="anew"),
+        silence_s=1.0,
+        listen_s=0.1,
+        clock=lambda: now_s[0],
+    )
+
+    def polled() -> list[bool]:
+        found = []
+        for _ in range(20):
+            now_s[0] += 0.1
+            found.append(node.poll(0.0))
+        return found
+
+    with caplog.at_level("INFO", "yieldmon"):
+        node.claim_address()
+        assert any(polled())
+        node.take_event(BusEvent(BusEventKind.INTERFACE_RESTORED, 0.0))
+        assert sum(polled()) == 2
+    assert [record.getMessage() for record in caplog.records if "address" in record.getMessage()] == [
+        f"network: our address is {US}"
+    ] * 2
 
 
 def test_a_lower_name_takes_the_address_and_frames_follow(

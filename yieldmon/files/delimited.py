@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import logging
 import re
 import warnings
 import zipfile
@@ -20,6 +21,8 @@ from yieldmon import bounded
 from yieldmon.errors import InputError, brief
 from yieldmon.file_kinds import kind_of
 from yieldmon.repeats import repeated
+
+_log = logging.getLogger(__name__)
 
 UNKNOWN = ("", "-", "nan", "na", "n/a", "null")
 """Cells that say "not known", in lower case."""
@@ -150,12 +153,19 @@ def workbook_sheets(path: str | Path) -> list[tuple[str, list[tuple[int, list[st
 
 
 def _workbook(raw: bytes, where: str) -> list[tuple[int, list[str]]]:
-    """The first sheet. Raises ModuleNotFoundError without openpyxl."""
-    return _sheets(raw, where, 1)[0][1]
+    """The first sheet with cells; warns of others. Raises ModuleNotFoundError without openpyxl."""
+    filled = [(name, cells) for name, cells in _sheets(raw, where) if cells]
+    if not filled:
+        return []
+    (read_here, cells), *others = filled
+    if others:
+        left = brief(", ".join(name for name, _ in others))
+        _log.warning("%s: of its sheets %s is read; not read: %s", where, read_here, left)
+    return cells
 
 
-def _sheets(raw: bytes, where: str, most: int | None = None) -> list[tuple[str, list[tuple[int, list[str]]]]]:
-    """Sheets by name, at most so many. Raises ModuleNotFoundError without openpyxl."""
+def _sheets(raw: bytes, where: str) -> list[tuple[str, list[tuple[int, list[str]]]]]:
+    """Sheets by name. Raises ModuleNotFoundError without openpyxl."""
     # An extra: most tables are text.
     import openpyxl
 
@@ -173,7 +183,7 @@ def _sheets(raw: bytes, where: str, most: int | None = None) -> list[tuple[str, 
         except Exception as error:
             raise InputError(where, "is a zip archive and no Excel workbook", expected) from error
         found = []
-        for sheet in book.worksheets[:most]:
+        for sheet in book.worksheets:
             try:
                 rows = [[_cell(value) for value in row] for row in sheet.iter_rows(values_only=True)]
             except Exception as error:  # openpyxl raises anything on a damaged sheet

@@ -11,7 +11,7 @@ from math import hypot, isfinite
 from pathlib import Path
 
 from yieldmon.errors import InputError, brief
-from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_T
+from yieldmon.units import KG_PER_DT, KG_PER_LB, KG_PER_SHORT_TON, KG_PER_T
 
 from . import delimited
 
@@ -22,7 +22,9 @@ RELATIVE_STD_DEV = 0.005
 OTHER_RELATIVE_STD_DEV = 0.03
 """The same of what another combine's monitor shows (one that was calibrated this season)."""
 _LOADS = ("load", "load_number", "loads", "log", "file")
-_KG: Mapping[str, float] = {"kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "q": KG_PER_DT, "lb": KG_PER_LB}
+_KG: Mapping[str, float] = {
+    "kg": 1.0, "t": KG_PER_T, "dt": KG_PER_DT, "q": KG_PER_DT, "lb": KG_PER_LB, "short_ton": KG_PER_SHORT_TON,
+}  # fmt: skip
 COLUMNS = f"{', '.join(f'weighed_{unit}' for unit in list(_KG)[:-1])} or weighed_{list(_KG)[-1]}"
 """Of a mass, in words."""
 _MASSES = ("weighed", "mass", "weight", "weighed_mass", "net", "net_weight", "net_mass")
@@ -30,6 +32,8 @@ _DEVIATIONS = ("std_dev", "sd", "sigma")
 _OTHERS = ("other", "other_mass")
 _OTHER_DEVIATIONS = ("other_std_dev", "other_sd")
 _MACHINE, _PART = "machine", "part"
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d) 00:00:00")
+"""A workbook's cell of a date, as text."""
 _MIN_KG, _MAX_KG = 1.0, 1e6
 _UNIT_FACTOR = 5.0
 """Between a weighed and a measured mass: machines that were never calibrated are off by half (studies/setup)."""
@@ -80,8 +84,8 @@ def names_log(name: str, log: str) -> bool:
 
 def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     """The tickets of a file with the columns `load` (7, or 7-9 for several on one ticket) and `weighed_kg` (or _t, _dt, _q,
-    _lb), and if known `std_dev_kg`, `machine`, `part` (1, 2, ... of loads weighed in parts); `other_kg` and `other_std_dev_kg` as
-    `own_part` has them. Warns of columns that are not used.
+    _lb, _short_ton), and if known `std_dev_kg`, `machine`, `part` (1, 2, ... of loads weighed in parts); `other_kg` and
+    `other_std_dev_kg` as `own_part` has them. Warns of columns that are not used.
 
     Raises InputError naming line and column.
     """
@@ -101,6 +105,9 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     for i, cell in enumerate(source.column(which)):
         if not cell:
             raise InputError(source.where(i, which), "is empty", "the number of a load, or the name of its log")
+        if date := _DATE.fullmatch(cell):
+            expected = "the number of a load; of 3-5 a spreadsheet makes a date unless the column is formatted as text"
+            raise InputError(source.where(i, which), f"is a date, {date[1]}", expected)
         kg = _number(source, i, mass) * factor
         if not _MIN_KG <= kg <= _MAX_KG:
             raise InputError(source.where(i, mass), f"is {kg:g} kg", f"a mass from {_MIN_KG:g} to {_MAX_KG:g} kg")
@@ -168,7 +175,12 @@ def _plain(column: str) -> str:
 
 
 def _named(column: str, kinds: tuple[str, ...]) -> bool:
-    return any(column == f"{kind}_{unit}" for kind in kinds for unit in _KG)
+    return any(column in _headings(kinds, unit) for unit in _KG)
+
+
+def _headings(kinds: tuple[str, ...], unit: str) -> tuple[str, ...]:
+    plural = "s" if unit == "short_ton" else ""
+    return tuple(f"{kind}_{unit}{end}" for kind in kinds for end in dict.fromkeys(("", plural)))
 
 
 def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, meaning: str) -> str:
@@ -189,7 +201,8 @@ def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: st
     """The column and what turns it into kg."""
     found = [name for name in source.header if _named(_plain(name), kinds)]
     if len(found) == 1:
-        return found[0], _KG[_plain(found[0]).rpartition("_")[2]]
+        plain = _plain(found[0])
+        return found[0], next(kg for unit, kg in _KG.items() if plain in _headings(kinds, unit))
     bare = [name for name in source.header if _plain(name) in kinds]
     if bare and not found:
         raise InputError(f"{source.path}: header", f"{bare[0]} has no unit", f"{bare[0]}_kg, {bare[0]}_t or {bare[0]}_lb")

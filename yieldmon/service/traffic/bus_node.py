@@ -81,6 +81,7 @@ class BusNode:
         self._outputs = MappedOutputs(configuration.outputs, configuration.engine.totals)
         self._clock = clock
         self._address: int | None = None
+        self._claims_anew = False
         self._malformed = 0
         self._rate = FrameRate()
         self.faults = ServiceFaults()
@@ -136,6 +137,7 @@ class BusNode:
         """What the receiver has found on the bus."""
         self.faults.bus_event(event, monotonic())
         if event.kind is BusEventKind.INTERFACE_RESTORED:
+            self._claims_anew = True
             self.claim_address()
 
     def receive(self, message: can.Message) -> Sequence[Frame]:
@@ -197,8 +199,10 @@ class BusNode:
             return False
         self._address = self._link.address
         preferred = self._configuration.document.network.preferred_address
+        claims_anew, self._claims_anew = self._claims_anew, False
         if self._address is None:
-            _log.warning("network: our address was taken, another one is claimed")
+            if not claims_anew:
+                _log.warning("network: our address was taken, another one is claimed")
         elif self._address != preferred:
             _log.warning("network: our address is %d, the preferred %d is another node's", self._address, preferred)
         else:
