@@ -37,7 +37,7 @@ from scipy.optimize import minimize
 
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.density_and_gain import moved
-from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
+from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
@@ -54,6 +54,7 @@ from .draws import (
     SCATTER_SD,
     hidden_crop,
     machine_of,
+    mean_std_dev,
 )
 
 _DRAWN, _STEP = 400, 0.01
@@ -170,7 +171,7 @@ def study(machines: int, seed: int) -> dict[str, Any]:
             before.append(error_pct(left_out, shipped))
             errors = load_errors(left_out.model, prior, loads)
             after.append(error_pct(left_out, prior))
-            deviation = float(np.mean(load_deviation(left_out.model, prior, loads)))
+            deviation = mean_std_dev(left_out.model, prior, loads)
             normalised.append(float(np.mean(errors)) / np.hypot(deviation, SCATTER_SD / np.sqrt(len(loads))))
         z = np.abs(normalised)
         found[name] = {

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.fleet_prior import MachineLoads
-from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.load_departures import spread
+from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
@@ -35,6 +36,11 @@ class Hidden:
         """Mean force as it is reported at these reported angles, N."""
         at = Conditions(plate_angle_rad + self.bent_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
         return np.asarray(np.real(self.model.force(at, self.values)) * self.gain)
+
+
+def mean_std_dev(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> float:
+    """Mean relative standard deviation of loads by the parameters' covariance alone."""
+    return float(np.mean([spread(model, known, load, LoadSettings(load_error=0.0)) for load in loads]))
 
 
 def hidden_crop(shipped: ParameterSet, chance: np.random.Generator) -> dict[str, float]:

@@ -28,7 +28,7 @@ from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Refer
 from yieldmon.engine.sweeps.disagreement import Disagreement
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
+from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_errors, pooled
 from yieldmon.estimation.weighing.load_inputs import WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.frames import EstimateQuality, OperatingState
@@ -39,7 +39,7 @@ from yieldmon.resources import shipped as shipped_file
 from yieldmon.service.config import configuration
 from yieldmon.service.config.configuration import Configuration
 
-from .draws import ANGLE_SD_DEG, CROPS, SCATTER_SD, Hidden, drawn, hidden_crop
+from .draws import ANGLE_SD_DEG, CROPS, SCATTER_SD, Hidden, drawn, hidden_crop, mean_std_dev
 
 HIDDEN: dict[str, dict[str, float]] = {
     "as modelled": {},
@@ -157,7 +157,7 @@ def judged(known: ParameterSet, home_error: float, loads: Sequence[WeighedLoad])
     """Mean absolute error of the loads, %, and z of their mean. home_error: as `after` has it."""
     model, condensed = ForwardModel(Machine(), known.effects), [load.condensed for load in loads]
     errors: Array = load_errors(model, known, condensed)
-    std_dev = float(np.mean(load_deviation(model, known, condensed)))
+    std_dev = mean_std_dev(model, known, condensed)
     z = float(np.mean(errors)) / float(np.hypot(np.hypot(std_dev, home_error), SCATTER_SD / np.sqrt(len(loads))))
     return 100.0 * float(np.mean(np.abs(np.expm1(errors)))), z
 

@@ -28,7 +28,7 @@ from yieldmon.estimation.fitting.batch import MomentumBatch
 from yieldmon.estimation.fitting.calibration import calibrate, default_start
 from yieldmon.estimation.fitting.calibration_result import Calibration
 from yieldmon.estimation.fitting.empirical import Physical, paddle_mass
-from yieldmon.estimation.fitting.identifiability import scaled, sweep_directions
+from yieldmon.estimation.fitting.identifiability import FLOW, directions, relative_jacobian, scaled
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
@@ -320,7 +320,8 @@ def drift() -> Iterator[Line]:
         for a in scales
     )
     yield Line("drift", "largest change of a force along (a, a, 1/a), a = 0.61 .. 1.65", "-", worst, "", "<= 1e-12")
-    named = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=12.0), GRAIN, NAMES, 0.1)
+    by_parameter, by_flow = relative_jacobian(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=12.0), GRAIN, NAMES, 0.1)
+    named = directions(np.hstack((by_flow, by_parameter)), (FLOW, *NAMES))
     yield Line(
         "drift",
         "unobservable directions found at 12 kg/s that are this one",

@@ -10,7 +10,7 @@ import pytest
 
 from yieldmon import api
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
-from yieldmon.estimation.fitting.identifiability import directions, relative_jacobian, report, scaled, sweep_directions
+from yieldmon.estimation.fitting.identifiability import FLOW, Direction, directions, relative_jacobian, report, scaled
 from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.closed_loop import fit_parameters, self_calibrate, update_from_tickets
@@ -62,9 +62,15 @@ def test_scaling_changes_no_force(values: dict[str, float], factor: float) -> No
     assert np.real(MODEL.force(moved, scaled(ParameterSet(values), factor).values)) == pytest.approx(force, rel=1e-12)
 
 
+def sweep_directions(flow: float) -> tuple[Direction, ...]:
+    """Directions of flow and parameters that one sweep at one unknown flow leaves."""
+    relative, by_load = relative_jacobian(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=flow), CENTRE, NAMES, 0.1)
+    return directions(np.hstack((by_load, relative)), (FLOW, *NAMES))
+
+
 @pytest.mark.parametrize("flow", [2.0, 6.0, 12.0, 22.0])
 def test_the_scale_is_found_numerically_and_named(flow: float) -> None:
-    found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=flow), CENTRE, NAMES, 0.1)
+    found = sweep_directions(flow)
     assert sum(d.is_scale for d in found) == 1
     scale = next(d for d in found if d.is_scale)
     assert scale.relative_sd == np.inf
@@ -94,7 +100,7 @@ def test_the_scale_is_named_and_rests_on_the_prior_with_exchange_coefficients(k1
 
 def test_a_thin_stream_that_all_lands_determines_two_numbers_only() -> None:
     # Without misses the force is sin(phi) (A sin(phi) - B cos(phi)): two of four unknowns stay open.
-    found = sweep_directions(MODEL, Conditions(ANGLES, SPEED, mass_flow_kg_s=1.0), CENTRE, NAMES, 0.1)
+    found = sweep_directions(1.0)
     assert sum(not np.isfinite(d.relative_sd) for d in found) == 2
 
 

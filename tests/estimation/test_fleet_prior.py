@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.weighing.density_and_gain import moved
-from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_deviation, load_errors, pooled
-from yieldmon.estimation.weighing.load_inputs import WeighedLoad
+from yieldmon.estimation.weighing.fleet_prior import MachineLoads, load_errors, pooled
+from yieldmon.estimation.weighing.load_departures import spread
+from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.files.crops import crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -39,19 +42,24 @@ def fleet(count: int, gain_sd: float, density: float, seed: int) -> list[Machine
     return machines
 
 
+def std_devs(known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
+    """Relative standard deviation of each load by the parameters alone, (n,)."""
+    return np.array([spread(MODEL, known, load, LoadSettings(load_error=0.0)) for load in loads])
+
+
 def test_what_all_share_is_taken_off_the_next_machines_error() -> None:
     machines = fleet(8, 0.01, 1.2, 3)
     found = pooled(SHIPPED, machines[:7])
     before = np.abs(load_errors(MODEL, SHIPPED, machines[7].loads))
     after = load_errors(MODEL, found.parameter_set, machines[7].loads)
     assert np.mean(np.abs(after)) <= 0.5 * np.mean(before)
-    assert np.all(np.abs(after) < 3.0 * load_deviation(MODEL, found.parameter_set, machines[7].loads))
+    assert np.all(np.abs(after) < 3.0 * std_devs(found.parameter_set, machines[7].loads))
 
 
 def test_machines_that_differ_more_leave_more_to_be_expected() -> None:
     alike, different = (pooled(SHIPPED, fleet(8, sd, 1.0, 5)) for sd in (0.005, 0.08))
     loads = fleet(1, 0.0, 1.0, 1)[0].loads
-    narrow, wide = (load_deviation(MODEL, found.parameter_set, loads).mean() for found in (alike, different))
+    narrow, wide = (std_devs(found.parameter_set, loads).mean() for found in (alike, different))
     assert wide > 1.5 * narrow
     assert np.trace(different.between) > np.trace(alike.between)
 

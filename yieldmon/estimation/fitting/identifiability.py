@@ -150,14 +150,6 @@ def relative_jacobian(
     return relative, (by_load * batch.load)[:, None] / sd
 
 
-def sweep_directions(
-    model: ForwardModel, conditions: Conditions, values: Mapping[str, float], names: Sequence[str], noise_sd: ArrayLike
-) -> tuple[Direction, ...]:
-    """Directions of flow and parameters together, the rows being one sweep at one unknown flow (the first component)."""
-    relative, by_load = relative_jacobian(model, conditions, values, names, noise_sd)
-    return directions(np.hstack((by_load, relative)), (FLOW, *names))
-
-
 def report(
     model: ForwardModel, conditions: Conditions, parameters: ParameterSet, names: Sequence[str], noise_sd: ArrayLike
 ) -> Report:

@@ -87,13 +87,6 @@ def load_errors(model: ForwardModel, known: ParameterSet, loads: Sequence[Weighe
     return np.asarray(np.log(_masses_kg(model, known, loads) / np.array([load.weighed_kg for load in loads])))
 
 
-def load_deviation(model: ForwardModel, known: ParameterSet, loads: Sequence[WeighedLoad]) -> Array:
-    """Standard deviation (n,) of `load_errors` by all parameters that have one."""
-    slopes = np.concatenate((_held_slopes(model, known, loads), _slopes(model, known, loads)), axis=-1)
-    covariance = _relative_covariance(known)
-    return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes)))
-
-
 def pooled(start: ParameterSet, machines: Sequence[MachineLoads]) -> FleetPrior:
     """Estimate the prior from a fleet's weighed loads.
 
@@ -259,14 +252,6 @@ def _scales(known: ParameterSet) -> tuple[str, Array]:
     if "restitution" in known.values:
         return "restitution", np.array([known.values[DENSITY], 1.0 + known.values["restitution"]])
     return "k2", np.array([known.values[DENSITY], known.values["k2"]])
-
-
-def _relative_covariance(known: ParameterSet) -> Array:
-    """Covariance of (held parameters, ln density, ln gain)."""
-    name, scale = _scales(known)
-    held = _held(known)
-    sizes = np.concatenate((np.ones(len(held)), scale))
-    return known.covariance_of((*held, DENSITY, name)) / np.outer(sizes, sizes)
 
 
 def _with_covariance(known: ParameterSet, relative: Array, by_held: Array) -> ParameterSet:
