@@ -12,6 +12,7 @@ from yieldmon.field import sources
 from yieldmon.field.delay import Delay, estimate_delay
 from yieldmon.field.pairs import opposing_pairs
 from yieldmon.field.sources.options import ReadOptions
+from yieldmon.field.summary import delay_line
 from yieldmon.field.table import HarvestTable
 from yieldmon.field.tracks import tracks
 
@@ -122,3 +123,13 @@ def test_two_machines_keep_their_own_clocks(corn: Path) -> None:
     table = sources.read(corn, ReadOptions())
     twice = replace(table, source_of_row=(np.arange(len(table)) % 2).astype(np.int32), sources=table.sources * 2)
     assert len(np.unique(tracks(twice).stream)) == 2
+
+
+@pytest.mark.parametrize(
+    ("value_s", "said"), [(-0.04, "flow delay 0.0 s (-1.0 to 1.0)"), (-0.4, "flow delay -0.4 s (-1.0 to 1.0)")]
+)
+def test_a_delay_of_nothing_has_no_sign(tmp_path: Path, value_s: float, said: str) -> None:
+    path = tmp_path / "field.txt"
+    ag_leader(path, delay_s=9, seed=7, passes=12)
+    found = estimated(sources.read(path, ReadOptions()))
+    assert delay_line(replace(found, value_s=value_s, low_s=-1.0, high_s=1.0, declared_s=None), "flow") == f"{said} 1.0)"

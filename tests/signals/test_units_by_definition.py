@@ -17,7 +17,10 @@ TURN = 2.0 * pi
 DEFINED: dict[str, dict[str, float | Exact]] = {
     "rpm": {**dict.fromkeys(("rpm", "1/min", "min-1", "r/min"), 1), "rad/s": 60.0 / TURN, "Hz": 60, "1/s": 60, "rev/s": 60,
         "deg/s": Exact(60, 360)},
-    "deg": {**dict.fromkeys(("deg", "°", "degree", "degrees"), 1), "rad": 360.0 / TURN, "mrad": 0.36 / TURN},
+    "deg": {
+        **dict.fromkeys(("deg", "°", "degree", "degrees"), 1), "rad": 360.0 / TURN, "mrad": 0.36 / TURN,
+        "arcmin": Exact(1, 60), "arcsec": Exact(1, 60**2), "mas": Exact(1, 1000 * 60**2),
+    },
     "%": {"%": 1, "percent": 1, "1": 100, "ppm": Exact(100, 10**6)},
     "kg/m3": {
         **dict.fromkeys(("kg/m3", "kg/m^3", "kg/m³", "g/l", "g/L"), 1), "kg/hl": Exact(1000, 100), "lb/bu": LB_KG / BUSHEL_M3,
@@ -77,6 +80,7 @@ def test_temperatures_have_a_zero_of_their_own(unit: str, water_freezes: float, 
     ("mV", "Volts", "V"), ("N", "Unit_KiloNewto", "kN"), ("kg", "LBS", "lb"), ("%", "Unit_PerCent", "%"),
     ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"), ("deg", "Grad", "deg"), ("%", "Prozent", "%"),
     ("rpm", "Umdr/min", "rpm"), ("rpm", "U/s", "1/s"), ("rpm", "tr/min", "rpm"), ("rpm", "s-1", "1/s"), ("deg", "degrés", "deg"),
+    ("deg", "milliarcseconds", "mas"), ("deg", "arcminutes", "arcmin"),
 ])  # fmt: skip
 def test_spellings_of_published_databases(quantity: str, spelt: str, as_defined: str) -> None:
     assert factor(quantity, spelt) == factor(quantity, as_defined)

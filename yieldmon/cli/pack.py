@@ -29,7 +29,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "pack",
         help="pack CAN logs into one Parquet file",
         description=__doc__,
-        epilog="example: yieldmon pack monday-*.log.gz --out monday.parquet",
+        epilog="example: yieldmon pack monday-*.log.gz --out monday-frames.parquet",
     )
     parser.add_argument("logs", nargs="+", metavar="LOG", help="any supported log; several logs form one record")
     parser.add_argument("--out", required=True, metavar="FILE.parquet", help="file to write")

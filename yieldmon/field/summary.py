@@ -109,10 +109,10 @@ def delay_line(delay: Delay, name: str) -> str:
     """One line for people."""
     declared = "" if delay.declared_s is None else f"; the machine declares {delay.declared_s:g} s"
     if delay.decision is Decision.ESTIMATED:
-        return f"{name} delay {delay.value_s:.1f} s ({delay.low_s:.1f} to {delay.high_s:.1f}){declared}"
+        return f"{name} delay {delay.value_s:z.1f} s ({delay.low_s:z.1f} to {delay.high_s:z.1f}){declared}"
     if delay.decision is Decision.DECLARED:
-        return f"{name} delay {delay.value_s:.1f} s, as given{declared}"
-    return f"{name} delay: cannot tell ({delay.why}); {delay.value_s:.1f} s is used{declared}"
+        return f"{name} delay {delay.value_s:z.1f} s, as given{declared}"
+    return f"{name} delay: cannot tell ({delay.why}); {delay.value_s:z.1f} s is used{declared}"
 
 
 def _known(value: float | None) -> float | None:

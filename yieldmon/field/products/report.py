@@ -83,7 +83,7 @@ def content(result: HarvestMap) -> dict[str, Any]:
             *([[f"{_number(bushels, 1)} bu/ac", "the same in bushels"]] if bushels is not None else []),
             [_grain(totals.corrected_kg, units), f"grain{' by weighed loads' if span else ' as measured, not weighed'}{span}"],
             [units.area(totals.area_m2), "ground newly cut"],
-            [" / ".join(dict.fromkeys(f"{one.flow.value_s:.1f} s" for one in result.machines[:4])), _delay_words(result)],
+            [" / ".join(dict.fromkeys(f"{one.flow.value_s:z.1f} s" for one in result.machines[:4])), _delay_words(result)],
             [f"{100 * result.cleaned.kept.mean() if len(result.table) else 0:.0f} %", f"of {len(result.table)} points kept"],
         ],
         "unit": {"name": shown.name, "per_t_ha": shown.of(1.0 / T_HA_PER_KG_M2), "mass": mass.name, "per_kg": mass.of(1.0)},
