@@ -1,1 +1,1 @@
-"""Where model and measurement disagree, which effect is missing, and the validation that adding it helps."""
+"""Diagnosis of a model: where it disagrees with measurements, which effect is missing, and validation of the effects found."""

@@ -1,4 +1,4 @@
-"""Parameter files with a found effect in them, and the way back."""
+"""Parameter files with an effect that a diagnosis has found, and the return to the former file."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from .diagnosis import Diagnosis
 def adopted(diagnosis: Diagnosis, parent: ParameterSet, provenance: dict[str, str], scale_sd: float = 0.0) -> ParameterSet:
     """Parameters with the named effects, fitted to every row, as the next version of `parent`.
 
-    scale_sd: relative standard deviation common to all loads of the table, which the fit takes as exact; it widens the covariance
-    along (load, density, impact gain) -> (a, a, 1/a). What the fit held (shape ratio, effects known before) is as uncertain as it
-    was. Raises ValueError unless the verdict names an effect.
+    scale_sd: relative standard deviation common to all loads of the table, which the fit assumes to be exact; it widens the
+    covariance along (load, density, impact gain) -> (a, a, 1/a). Parameters that were fixed in the fit (shape ratio, effects
+    known before) keep their uncertainty. Raises ValueError unless the verdict names an effect.
     """
     if diagnosis.verdict != "effect":
         raise ValueError(f"the verdict is {diagnosis.verdict!r}; only a named effect can be adopted")
@@ -99,7 +99,7 @@ def adopt(
         "gap_after_f": f"{diagnosis.after.lack_of_fit_f:.6g}",
         "seed": str(diagnosis.options.seed),
     }
-    # What is adopted leaves the flow at home as it is; sweeps do not show the scale, as loads of a table do.
+    # Adoption does not change the flow at home. Sweeps do not determine the scale, unlike the loads of a table.
     if parent.is_weighed:
         provenance[SCALE] = WEIGHED
     elif parent.scale_error > 0.0 and scale_sd > 0.0:
@@ -114,14 +114,14 @@ def adopt(
 
 
 def parent_copy(out: Path, version: int) -> Path:
-    """Where `adopt` keeps the parent, of this version, of what it writes to `out`."""
+    """Path at which `adopt` keeps a copy of the parent of this version, when it writes to `out`."""
     return out.with_name(f"{out.stem}.v{version}.parent{out.suffix}")
 
 
 def rollback(path: Path) -> int:
-    """Put the parent of an adopted parameter file back in its place, keeping what was adopted beside it; returns its version.
+    """Restore the parent of an adopted parameter file and keep the adopted file beside it; returns the parent's version.
 
-    Raises InputError when the file was not adopted here, or the parent's copy is gone or altered.
+    Raises InputError if the file was not adopted here, or the parent's copy is missing or changed.
     """
     current = parameter_file.load(path)
     name, digest = current.provenance.get("parent_copy"), current.provenance.get("parent_sha256")

@@ -1,6 +1,6 @@
-"""What else could make rows look as if named effects were at work: other laws of the same causes, and one plate angle off.
+"""Alternative explanations of rows that suggest an effect: other laws of the same causes, and errors at one plate angle.
 
-Both are errors of the model with wider priors than `Fit.shape_error`, which is for laws that are right in the main.
+Both are errors of the model with wider priors than `Fit.shape_error`, which is for laws that are approximately correct.
 """
 
 from __future__ import annotations
@@ -18,21 +18,26 @@ from yieldmon.physics.numerics import Array
 from .fit import Fit, fit
 
 ANOTHER_LAW_SD = 0.5
-"""Relative standard deviation of an effect's law where it may be another law altogether: anything from none of it to twice."""
+"""Relative standard deviation of an effect's law if it may be a different law: from no effect to twice as much."""
 TILTED = 1
-"""Degree, in angle, load and speed, of the factor by which another law differs in the main."""
+"""Degree, in angle, load and speed, of the factor by which another law differs."""
 FREE_SHAPE = 2
-"""The same of one that may bend as well."""
+"""The same for a law that may also differ in curvature."""
 VERY_STRONG = 10.0
-"""Twice the log evidence that is very strong (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995)."""
+"""Very strong evidence, as twice its logarithm (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """How far several effects need one of them, `effect`, where the laws of the others may be other laws altogether.
+    """How much one of several effects is needed if the laws of the others may be different laws.
 
-    evidence: twice the log evidence for it, against others with tilted laws. gain: chi-square that it still gains where theirs
-    have a free shape.
+    Attributes
+    ----------
+    effect : str
+    evidence : float
+        Twice the log evidence for it, against the others with tilted laws.
+    gain : float
+        Decrease of chi-square by it if the laws of the others have a free shape.
     """
 
     effect: str
@@ -42,14 +47,14 @@ class Needed:
 
 @dataclass(frozen=True, slots=True)
 class OneAngle:
-    """The plate angle whose rows, off by terms of their own, explain the others best; merit: -2 log evidence of that."""
+    """The plate angle whose rows, with error terms of their own, leave the best fit of the others; merit: its -2 log evidence."""
 
     plate_angle_rad: float
     merit: float
 
 
 def needed(found: Fit, scale: float, per_parameter: float) -> list[Needed]:
-    """Each of several effects beside the others; empty for fewer than two.
+    """How much each of several effects is needed, given the others; empty for fewer than two.
 
     scale: unit of differences in chi-square. per_parameter: what each parameter costs.
     """
@@ -68,15 +73,15 @@ def needed(found: Fit, scale: float, per_parameter: float) -> list[Needed]:
 
 
 def chosen_from_all(per_parameter: float) -> float:
-    """Gain in chi-square that is very strong evidence for an effect that was chosen as the best of the library's laws."""
+    """Gain in chi-square that is very strong evidence for the best of all laws in the library."""
     return VERY_STRONG + per_parameter + 2.0 * float(np.log(sum(len(laws(e)) for e in registry())))
 
 
 def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | None:
-    """The rows of one plate angle off by themselves, beside the model `base`.
+    """The best explanation by an error at one plate angle, in addition to the model `base`.
 
-    By a constant, by a share of the reading, by both, or by a share that changes with load and elevator speed as well.
-    None where there is one angle only: what is off there could be anything.
+    The error is a constant, a share of the reading, both, or a share that depends on load and elevator speed. None if there is
+    one angle only, since the cause cannot be determined then.
     """
     number = cluster(base.frame.cells.plate_angle_rad, SAME_ANGLE_RAD)
     cells, found = base.frame.cells, list[OneAngle]()
@@ -91,7 +96,7 @@ def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | N
 
 
 def of_other_laws(found: Fit, degree: int) -> Array:
-    """Whitened columns of the model's own error and of what laws may be off, other laws included, shape (cells, columns)."""
+    """Whitened columns of the model error and of the laws' errors, including different laws, (cells, columns)."""
     cells = found.frame.cells
     smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=degree)
     return np.concatenate((found.own_error, *(ANOTHER_LAW_SD * smooth * change[:, None] for change in found.changes)), axis=1)

@@ -1,4 +1,4 @@
-"""The published model's parameters as a fit's question, and the best fit without any effect."""
+"""Frame of a fit of the published model, and its best fit without any effect."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from .frame import Frame, Parameter, predictions
 from .observations import Cells
 
 _REFERENCE_FORCE_N = 60.0
-"""Largest force of a table in N for which the effects' own bounds in N are meant."""
+"""Largest force of a table in N for which the effects' bounds in N are used."""
 
 
 def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, keep_effects: bool = False) -> Frame:
     """Frame for the published model in `form` ("restitution" or "exchange"); friction and density free, the shape ratio fixed.
 
 
-    keep_effects: effects with parameters in the set belong to the model, at their values. Bounds and starts are the registry's.
+    keep_effects: effects with parameters in the set are part of the model, with these values. Bounds and starts are those of the
+    registry.
     """
     top = float(np.max(np.abs(cells.mean)))
     force = top if cells.rows.of == "force" else top * float(np.median(_passes(cells)))
@@ -34,7 +35,7 @@ def base_frame(cells: Cells, sd: Array, parameters: ParameterSet, form: str, *, 
 
 
 def fit_base(frame: Frame) -> Fit:
-    """Best of several starts over friction and density; raises ValueError when the loads overfill every admissible paddle."""
+    """Best fit from several starts of friction and density; raises ValueError if the loads overfill paddles at every start."""
     first = {p.name: p.start for p in frame.base}
     densities = (*evenly("density", 3), GRAIN["density"].search[1])
     starts = [first] + [first | {"friction": f, "density": d} for f in evenly("friction", 3) for d in densities]

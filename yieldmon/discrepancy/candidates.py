@@ -1,4 +1,4 @@
-"""Which effects could be missing: each one's signature beyond recalibration, then its refit together with all base parameters."""
+"""Candidates for missing effects: screening by signatures beyond recalibration, then refits with all base parameters."""
 
 from __future__ import annotations
 
@@ -17,17 +17,23 @@ from .fit import Fit, fit, fit_all
 from .frame import Frame, Parameter, effect_parameters, predictions
 from .noise import Noise
 
-#: Sizes at which a signature is drawn, in typical sizes from the null value.
+#: Sizes at which a signature is computed, in typical sizes from the null value.
 SIZES = (0.35, 1.0, 2.5)
 DRAWS = 4000
 
 
 @dataclass(frozen=True)
 class Signature:
-    """What an effect would change beyond recalibration.
+    """Change of the prediction by an effect beyond recalibration.
 
-    points: parameter points looked at, shape (points, parameters). change: whitened change of prediction at each point, off the
-    tangent of the model without the effect, shape (points, cells). size: typical sizes that each point stands for.
+    Attributes
+    ----------
+    points : ndarray (points, parameters)
+        Values of the effect's parameters.
+    change : ndarray (points, cells)
+        Whitened change of the prediction at each point, orthogonal to the tangent space of the model without the effect.
+    size : ndarray (points,)
+        Size of the effect at each point, in typical sizes.
     """
 
     effect: str
@@ -38,14 +44,14 @@ class Signature:
 
     @property
     def directions(self) -> Array:
-        """Unit signatures of the points that can be seen at all, shape (visible, cells)."""
+        """Signatures of unit length of the points with a detectable change, (visible, cells)."""
         norm = np.linalg.norm(self.change, axis=1)
         return np.asarray(self.change[norm > 1e-6] / norm[norm > 1e-6, None])
 
 
 @dataclass(frozen=True)
 class Score:
-    """Best linear guess for an effect: expected gain in chi-square and the point it is reached at."""
+    """Result of linear screening of an effect: expected gain in chi-square, and the parameters that give it."""
 
     effect: str
     gain: float
@@ -53,7 +59,7 @@ class Score:
 
 
 def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
-    """Effects that these cells could show: all but those in `without`, in the model, measured, or without their input."""
+    """Effects that can be tested with these cells: all except those in `without`, in the model, measured, or without input."""
     out = [name for name, effect in registry().items() if name not in {*without, *frame.known} and not effect.measured]
     if not np.all(np.isfinite(frame.cells.moisture_pct)):
         out = [name for name in out if registry()[name].stage != "crop"]
@@ -61,7 +67,7 @@ def library(frame: Frame, without: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def lawful(effects: Iterable[str]) -> tuple[str, ...]:
-    """Every law of the effects (`physics.effects.laws`); an effect given by one of its laws stands for itself alone."""
+    """Every law of the effects (`physics.effects.laws`). An effect that is given by one of its laws has only this one."""
     return tuple(law for e in effects for law in (laws(e) if e in registry() else (e,)))
 
 
@@ -97,14 +103,14 @@ def _points(parameters: tuple[Parameter, ...]) -> tuple[Array, Array]:
 
 
 def score(current: Fit, drawn: Signature) -> Score:
-    """Gain in chi-square if the effect takes the best of its points, scaled within its bounds."""
+    """Gain in chi-square with the best of the effect's points, scaled within its bounds."""
     norm2 = np.sum(drawn.change**2, axis=1)
     along = -(drawn.change @ current.residual)
     best_gain, best = 0.0, {p.name: p.typical for p in drawn.parameters}
     for i, (n2, a) in enumerate(zip(norm2, along, strict=True)):
         if n2 <= 1e-12 or a <= 0.0:
             continue
-        # A signature bends with size; beyond 1.5 times its own the next point counts.
+        # A signature is nonlinear in size; beyond 1.5 times its own size the next point is used.
         amplitude = min(a / n2, 1.5)
         gain = 2.0 * amplitude * a - amplitude**2 * n2
         if gain > best_gain:
@@ -113,7 +119,7 @@ def score(current: Fit, drawn: Signature) -> Score:
                 p.name: float(np.clip(p.start + amplitude * (v - p.start), p.lower, p.upper))
                 for p, v in zip(drawn.parameters, drawn.points[i], strict=True)
             }
-    # The span of what can be seen; rounding of an effect that does nothing here has directions too.
+    # Span of the detectable changes; an effect without any change here would add directions of rounding.
     if len(drawn.parameters) > 1 and drawn.directions.size:
         _, singular, rows = np.linalg.svd(drawn.change, full_matrices=False)
         rows = rows[singular > 1e-6 * singular[0]][: len(drawn.parameters)]
@@ -124,10 +130,10 @@ def score(current: Fit, drawn: Signature) -> Score:
 def refit(
     current: Fit, found: Score, *, starts: int = 1, beside: Mapping[str, float] | None = None, iterations: int = 60
 ) -> Fit | None:
-    """The model with the effect added, fitted from where the linear guess points (and, with more starts, from typical sizes).
+    """Fit of the model with the effect added, starting at the linear guess and, with more starts, at typical sizes.
 
-    beside: another point of the present parameters to start from as well; what lies at its null value in `current`, where its
-    derivative may vanish, is found again from there.
+    beside: other values of the present parameters for a further start. It is needed for parameters that are at their null value
+    in `current`, where their derivative may vanish.
     """
     values = {p.name: float(v) for p, v in zip(current.parameters, current.x, strict=True)}
     effects = (*current.effects, found.effect)
@@ -143,27 +149,27 @@ def refit(
 
 
 def polished(rough: Fit) -> Fit:
-    """The same model fitted to the end from where a short search left it."""
+    """Continue the fit after a short search until it converges."""
     found = fit(rough.frame, rough.effects, rough.values)
     return found if found is not None and found.chi2 <= rough.chi2 else rough
 
 
 def _elsewhere(p: Parameter, at: float) -> list[float]:
-    """A quarter and three quarters of the way between the bounds, but for what lies near `at`."""
+    """The points at a quarter and three quarters between the bounds, except those near `at`."""
     return [v for share in (0.25, 0.75) if abs((v := p.lower + share * (p.upper - p.lower)) - at) > 0.1 * (p.upper - p.lower)]
 
 
 def refit_from_restarts(found: Fit) -> Fit:
-    """The same model from other frictions, densities, sizes of its effects and shapes of their laws: the best fit, with `found`.
+    """The best of `found` and fits of the same model from other frictions, densities, sizes of effects and shapes of laws.
 
-    A fit that needs a bound of an effect's leading parameter, where `found` does not, is no better.
+    A fit that needs a bound of an effect's leading parameter is not better than one that does not.
     """
     names = [leading(e, found.frame.unit) for e in found.effects]
     null = {p.name: p.start for p in found.parameters}
     points = [{"friction": mu, "density": rho} for mu in evenly("friction", 3) for rho in evenly("density", 2)]
     points += [{name: null[name] + share * (found.values[name] - null[name])} for name in names for share in (0.4, 2.0)]
     points += [{found.parameters[i].name: v} for i in found.shapes for v in _elsewhere(found.parameters[i], float(found.x[i]))]
-    # A few steps show which starts to continue.
+    # A few steps decide which starts are continued.
     begun = [f for f in fit_all(found.frame, found.effects, [found.values | p for p in points], iterations=5) if f is not None]
     begun = sorted(begun, key=lambda f: f.chi2)[:3]
     best = found
@@ -176,10 +182,10 @@ def refit_from_restarts(found: Fit) -> Fit:
 
 
 def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
-    """Why a fit is refused: the bounds that its effects need, "" where none does.
+    """Reason for the refusal of a fit: the bounds that its effects need; "" if there are none.
 
-    A bound is needed when holding the effect's leading parameter three quarters of the way there costs more than `allowance` in
-    chi-square. Of the effects other than `effect`, any leading parameter at a bound counts.
+    A bound is needed if chi-square increases by more than `allowance` when the effect's leading parameter is fixed at three
+    quarters of the way to it. For effects other than `effect`, any leading parameter at a bound is a reason.
     """
     needed = []
     for p, v in zip(found.parameters, found.x, strict=True):
@@ -197,7 +203,7 @@ def only_at_bound(found: Fit, effect: str, allowance: float) -> str:
 
 
 def leading(effect: str, unit: float) -> str:
-    """Qualified name of an effect's first parameter, the one that it is known by; "" for a base parameter's name."""
+    """Qualified name of an effect's first, leading parameter; "" for a base parameter's name."""
     try:
         return effect_parameters(effect, unit)[0].name
     except ValueError:
@@ -205,7 +211,7 @@ def leading(effect: str, unit: float) -> str:
 
 
 def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, float]:
-    """The start with the base parameters moved, in the tangent plane, to make room for the effect."""
+    """The start, with the base parameters changed in the tangent plane to compensate for the effect."""
     frame = current.frame
     with_effect = real(predictions(frame, (*current.effects, effect), start))
     if not np.all(np.isfinite(with_effect)):
@@ -213,7 +219,7 @@ def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, floa
     residual = (with_effect - frame.cells.mean) / frame.sd
     scale = np.array([p.scale for p in current.parameters])
     scaled = current.jacobian * scale
-    # Damped: the tangent plane is trusted over about one typical size of each parameter.
+    # Damped, since the tangent plane is valid over about one typical size of each parameter.
     count = max(float(np.linalg.norm(scaled, axis=0).max()), 1e-300)
     step = -np.linalg.lstsq(
         np.vstack((scaled, 0.02 * count * np.eye(len(scale)))), np.concatenate((residual, 0.0 * scale)), rcond=None
@@ -228,24 +234,26 @@ def _moved(current: Fit, effect: str, start: dict[str, float]) -> dict[str, floa
 
 
 def errors(current: Fit, noise: Noise, rng: np.random.Generator, draws: int) -> Array:
-    """Whitened errors of the cells that noise and the model's own error may make, shape (cells, draws)."""
+    """Random whitened errors of the cells by noise and the model error, (cells, draws)."""
     z = rng.standard_normal((len(current.residual), draws)) / np.sqrt(rng.chisquare(noise.dof, draws) / noise.dof)
     return np.asarray(z + current.error @ rng.standard_normal((current.error.shape[1], draws)))
 
 
 def second(current: Fit) -> bool:
-    """Whether what is added to `current` is a second effect: one whose gain is tested beside the law of the first.
+    """Whether an effect added to `current` would be the second one; its gain is tested with the error of the first one's law
+    integrated out.
 
-    A third has two laws to mend, and three causes at once are rare, so that it is compared with all that these laws may make.
+    A third effect is compared with all possible errors of the laws, since it could compensate for two laws, and three causes at
+    once are rare.
     """
     return len(current.effects) == 1
 
 
 def gained(current: Fit, added: Fit, *, own: bool = False) -> float:
-    """Gain in chi-square by what was added to `current`; by a second effect with what the law of the first may be off integrated
-    out of both: a gain that another shape of this law would have as well is none.
+    """Gain in chi-square by an effect added to `current`.
 
-    own: the model's own error integrated out too.
+    For a second effect the error of the first one's law is integrated out of both fits, so that a gain that another shape of this
+    law would give as well does not count. own: whether the model error is also integrated out.
     """
     if not second(current):
         return current.chi2 - added.chi2
@@ -254,9 +262,9 @@ def gained(current: Fit, added: Fit, *, own: bool = False) -> float:
 
 
 def _white(current: Fit) -> Callable[[Array], Array]:
-    """Brings what laws may be off, beyond the tangent plane, to unit variance: columns of cells, (cells, columns).
+    """Whiten columns (cells, columns) with the covariance of the laws' errors outside the tangent plane.
 
-    The model's own error stays as it is: its form is not known well enough to look beside it.
+    The model error is not included, since its form is not known well enough.
     """
     axes, length, _ = np.linalg.svd(off(current.shape_error, current.tangent()), full_matrices=False)
     shrunk = 1.0 - 1.0 / np.sqrt(1.0 + length**2)
@@ -266,11 +274,11 @@ def _white(current: Fit) -> Callable[[Array], Array]:
 def false_alarm(
     signatures: Iterable[Signature], current: Fit, noise: Noise, rng: np.random.Generator
 ) -> Callable[[float], float]:
-    """p value of a gain in chi-square (`gained`) when every candidate had its chance and none is true.
+    """p value of a gain in chi-square (`gained`), corrected for the number of candidates.
 
-    Monte Carlo in the tangent plane of the model without them (`current`): the largest gain over all signatures' points, each of
-    one sign, and over the span of those with several parameters; the noise estimate's own uncertainty and the model's own error
-    included.
+    It is found by Monte Carlo in the tangent plane of the model without the candidates (`current`), as the distribution of the
+    largest gain over all points of all signatures (each with one sign) and over the span of those with several parameters. It
+    includes the uncertainty of the noise estimate and the model error.
     """
     chosen = [s for s in signatures if s.directions.size]
     draws = errors(current, noise, rng, DRAWS)

@@ -1,4 +1,4 @@
-"""What a search for missing effects found: candidates, steps, verdict."""
+"""Result of a search for missing effects: candidates, steps, verdict."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .policy import Policy
 
 @dataclass(frozen=True)
 class Candidate:
-    """One candidate at one step: its refit, gain in chi-square, global p value; refused where it wins only at a bound.
+    """One candidate at one step: its refit, gain in chi-square, and global p value; refused if it needs a bound.
 
-    beyond_laws: the gain that no other shape of the present effects' laws would have (`candidates.gained`).
+    beyond_laws: the gain that other shapes of the present effects' laws would not give (`candidates.gained`).
     """
 
     effect: str
@@ -29,18 +29,18 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect added: candidates in the order of their merit, and those that the data cannot distinguish from the first."""
+    """One added effect: candidates in the order of their merit, and those that the data cannot distinguish from the first."""
 
     added: str
     candidates: tuple[Candidate, ...]
     equivalent: tuple[str, ...]
     confidence: float
     law: str
-    """The law by which it was fitted, as in `Fit.effects`."""
+    """The law with which it was fitted, as in `Fit.effects`."""
     stability: float = 1.0
-    """Share of samples, with errors drawn anew, in which the effect, or one tied with it, still wins."""
+    """Share of samples with new random errors in which the effect, or one tied with it, is still the best."""
     margin: float = float("inf")
-    """-2 log evidence by which the nearest candidate that is not tied is worse; inf where there is none."""
+    """Difference of -2 log evidence to the best candidate that is not tied; inf if there is none."""
     name_confidence: float = float("nan")
     """Probability that the cause is this effect, and not one tied with it."""
 
@@ -61,7 +61,7 @@ class Choice:
     """Global p value of the strongest candidate."""
     rivals: tuple[Fit, ...] = field(default=())
     objection: str = ""
-    """Why the steps are candidates and no names, where the verdict is "unknown" in spite of them."""
+    """Why the steps are only candidates if the verdict is "unknown"."""
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -70,11 +70,11 @@ class Choice:
 
 
 def withdrawn(choice: Choice, policy: Policy) -> Choice:
-    """The choice whose named effects the validation does not confirm: "unknown" where a misfit is left, else "none"."""
+    """The choice after its named effects were not confirmed: verdict "unknown" if a misfit is left, else "none"."""
     verdict: Verdict = "unknown" if choice.lack_of_fit_before.p_value < policy.lack_of_fit_p else "none"
     return replace(choice, verdict=verdict)
 
 
 def rows_searched(found: Fit) -> str:
-    """The rows that a fit of the search is judged on: fewer than all, where some are kept aside."""
+    """The rows on which a fit of the search is judged; fewer than all if some are held out."""
     return f"on the {len(found.frame.cells.rows)} rows searched"

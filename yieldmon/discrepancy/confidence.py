@@ -1,7 +1,7 @@
-"""Confidence as a probability: how often a name that looks like this one was right, on cases with known answers.
+"""Confidence in a named effect as a probability, calibrated on cases with known answers.
 
-A logistic map from what a search says of a name to the share of such names that were right. It was fitted to the cases of
-`studies/hidden_effects`, whose generators share no law with the library; the file says which, how many, and at which commit.
+A logistic function maps features of a search to the share of correct names. It was fitted to the cases of
+`studies/hidden_effects`, whose generators have no law in common with the library; the file states the cases and the commit.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from .choice import Choice
 from .policy import Policy
 
 FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects", "against")
-"""Inputs of the map, see `features`."""
+"""Inputs of the logistic function, see `features`."""
 _REACH = 2.0
 _FAR = 60.0
-"""Margin above which a larger one makes no difference."""
+"""Margin above which a larger one has no further influence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +37,15 @@ class Logistic:
 
     def __call__(self, rows: Array) -> Array:
         """Probabilities, (n,), of features, (n, features)."""
-        # Limited to the range of the cases that it was fitted to.
+        # Limited to the range of the calibration cases.
         z = self.bias + np.clip((rows - self.centre) / self.scale, -_REACH, _REACH) @ self.weights
         return np.asarray(1.0 / (1.0 + np.exp(-z)))
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """within: of the effect or one tied with it being the cause; name: of the effect itself, given that."""
+    """within: probability that the effect or one tied with it is the cause. name: that it is the effect itself, given the
+    former."""
 
     within: Logistic
     name: Logistic
@@ -77,7 +78,7 @@ def as_rows(found: Sequence[Mapping[str, float]]) -> Array:
 
 
 def from_document(document: Mapping[str, object]) -> Calibration:
-    """The map as the shipped file has it. Raises KeyError for a feature that is missing."""
+    """Read the calibration from the shipped document. Raises KeyError if a feature is missing."""
 
     def one(part: object) -> Logistic:
         assert isinstance(part, Mapping)
@@ -92,7 +93,7 @@ def from_document(document: Mapping[str, object]) -> Calibration:
 
 @lru_cache(maxsize=1)
 def shipped() -> Calibration:
-    """The map that comes with the package."""
+    """The calibration that comes with the package."""
     return from_document(json.loads(files(__package__).joinpath("confidence.json").read_text(encoding="utf-8")))
 
 
@@ -102,7 +103,7 @@ def calibrated(choice: Choice, by: Calibration) -> Choice:
         return choice
     rows = as_rows(features(choice))
     within = by.within(rows)
-    # A name with nothing tied to it is the class.
+    # Without ties the name is the whole class.
     alone = np.array([not step.equivalent for step in choice.steps])
     names = within * np.where(alone, 1.0, by.name(rows))
     steps = tuple(
@@ -113,5 +114,5 @@ def calibrated(choice: Choice, by: Calibration) -> Choice:
 
 
 def doubted(choice: Choice, policy: Policy) -> bool:
-    """Whether the first name is less likely to be right than a name has to be."""
+    """Whether the probability of the first name is too low for a name."""
     return choice.verdict == "effect" and choice.steps[0].confidence < policy.least_confidence

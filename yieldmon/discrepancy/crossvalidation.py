@@ -1,4 +1,4 @@
-"""Prediction of conditions that a fit has not seen, with a whole angle, load or speed left out at a time."""
+"""Cross-validation with a whole angle, load or speed left out at a time."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def left_out_residual(fit: Fit, group: NDArray[np.int64]) -> Array:
 
 
 def grouped_error(fit: Fit, groups: Mapping[str, NDArray[np.int64]]) -> dict[str, float]:
-    """Mean square of the left-out residuals for each way of grouping (1: to the noise)."""
+    """Mean square of the left-out residuals for each way of grouping; 1 corresponds to the noise."""
     return {name: float(np.mean(left_out_residual(fit, numbers) ** 2)) for name, numbers in groups.items()}

@@ -1,4 +1,4 @@
-"""How large an effect must be for a design to show it."""
+"""Smallest size of an effect that a design can detect."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import numpy as np
 from .candidates import Signature
 
 POWER_80 = 0.84
-"""Standard deviations beyond a limit at which 80 of 100 exceed it."""
+"""Distance from a limit, in standard deviations, at which 80 % exceed it."""
 _LIMIT_SDS = 3.2
 """Two-sided 0.15 %, about 2 % over the library."""
 
 
 def minimum_detectable(signatures: list[Signature]) -> dict[str, float]:
-    """Size of each effect's leading parameter that this design would show with 80 % power at its global level.
+    """Size of each effect's leading parameter that this design detects with 80 % power at its global level.
 
-    Linear in size from a signature drawn, the one whose answer is nearest the typical size; absent where that lies beyond the
-    parameter's bounds.
+    It is extrapolated linearly from each point of the signature, and the result nearest to the typical size is used. Effects
+    whose size would be outside the parameter's bounds are omitted.
     """
     sizes = {s.effect: size_seen(s, 0) for s in signatures}
     return {effect: size for effect, size in sizes.items() if np.isfinite(size)}
 
 
 def size_seen(drawn: Signature, number: int) -> float:
-    """The least distance from its null at which one of an effect's parameters shows; inf beyond its bounds."""
+    """Smallest detectable distance of an effect's parameter from its null value; inf if outside its bounds."""
     needed = _LIMIT_SDS + POWER_80
     p = drawn.parameters[number]
     step = np.abs(drawn.points[:, number] - p.start)

@@ -1,4 +1,4 @@
-"""The whole workflow: hold rows out, fit the published model, test its lack of fit, name effects, validate them on
+"""The whole diagnosis: hold rows out, fit the published model, test its lack of fit, name effects, validate them on
 the held-out rows, plan the next experiment."""
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["Diagnosis", "Examination", "HeldOut", "Measure", "Options", "conclud
 def diagnose(
     table: Table, machine: Machine, parameters: ParameterSet, options: Options = DEFAULT, progress: Progress | None = None
 ) -> Diagnosis:
-    """Find which effects a model lacks, from one table.
+    """Find the effects that a model lacks, from one table.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def diagnose(
         Parameters of the present model.
     options : Options
     progress : callable, optional
-        Called with the step in progress and the share done, 0 .. 1.
+        Called with the present step and the share that is done, 0 .. 1.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def diagnose(
     Raises
     ------
     InputError
-        For a table that does not allow a diagnosis.
+        For a table that is not sufficient for a diagnosis.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def diagnose_rows(
 def conclude(
     seen: Examination, rows: obs.Rows, options: Options = DEFAULT, progress: Progress | None = None, name: str = "table"
 ) -> Diagnosis:
-    """What follows from `examine` of the same rows with the same options: refits on all rows, regions, next experiment."""
+    """Complete the result of `examine` for the same rows and options: refits on all rows, regions, next experiment."""
     report = progress or (lambda text, share: None)
     chosen, noise, base = seen.choice, seen.noise, seen.choice.base
     rng = np.random.default_rng([options.seed, 3])
@@ -135,7 +135,8 @@ def conclude(
 def examine(
     rows: obs.Rows, parameters: ParameterSet, options: Options = DEFAULT, progress: Progress | None = None, name: str = "table"
 ) -> Examination:
-    """Hold rows out, fit the published model, choose effects, validate them on those rows. Raises InputError as `diagnose`."""
+    """Hold rows out, fit the published model, choose effects, validate them on the held-out rows. Raises InputError as
+    `diagnose`."""
     report = progress or (lambda text, share: None)
     rng = np.random.default_rng([options.seed, 2])
     is_held_out = obs.hold_out(rows, options.hold_out, options.seed)
@@ -187,9 +188,12 @@ def _in_the_better_form(
     options: Options,
     name: str,
 ) -> tuple[published.Published, Choice]:
-    """The published model and what was chosen beside it: those with k1 and k2 where 1 + restitution is hardly more than 1, unless
-    what was chosen beside that explains the rows better by more than a tie; by anything at all where the restitution is grain's
-    again with the effects, so that evidence alone decides for k1 and k2."""
+    """The published model and the chosen effects, in the better form of the impact.
+
+    The form with k1 and k2 is used if 1 + restitution is hardly more than 1, unless the choice with the restitution explains the
+    rows better by more than a tie. If the restitution is in the range of grain with the effects, any advantage is sufficient, so
+    that k1 and k2 are used on evidence alone.
+    """
     if options.form != "auto":
         return model, chosen
     other = published.exchange_instead(model, rows, noise, parameters, keep_effects=options.keep_effects, name=name)
@@ -207,7 +211,7 @@ def _in_the_better_form(
 def _confirmed(
     choice: Choice, validation: Validation | None, noise: Noise, rows: obs.Rows, options: Options, *, angles_doubted: bool
 ) -> tuple[Choice, list[str]]:
-    """The choice with its confidence, no effect named where something outside the search objects; and the notes on it."""
+    """The choice with its confidence, and notes on it; no effect is named if there is an objection from outside the search."""
     policy, notes = options.policy, list[str]()
     if validation is not None and choice.verdict == "effect" and not validation.agrees:
         notes.append(diagnosis_notes.refuted(choice.named, validation))
@@ -227,12 +231,13 @@ def _confirmed(
 
 
 def _shows(seen: Signature) -> bool:
-    """Whether the rows would show an effect's law at some size within its physical bounds."""
+    """Whether the rows could show an effect's law at some size within its physical bounds."""
     return not all(np.isinf(size_seen(seen, number)) for number in range(len(seen.parameters)))
 
 
 def _refit(frame: Frame, effects: tuple[str, ...], start: Fit, name: str) -> Fit:
-    """The model fitted to every row, from the densest grain where the loads overfill the paddles at `start`'s density."""
+    """The model fitted to every row. If the loads overfill the paddles at the density of `start`, it starts at the highest
+    density."""
     densest = {p.name: p.upper for p in frame.base if p.name == "density"}
     for values in (start.values, start.values | densest):
         refitted = fit(frame, effects, values, tolerance=1e-6)
@@ -250,7 +255,7 @@ def _measure(fitted: Fit, rows: obs.Rows, noise: Noise) -> Measure:
 
 
 def _to_separate(choice: Choice) -> tuple[Fit, list[Fit]]:
-    """The leading explanation and those to distinguish it from: its ties, else the next best in its place."""
+    """The leading explanation, and those to separate from it: its ties, or the next best one if there are none."""
     if choice.rivals:
         return choice.best, list(choice.rivals)
     if choice.steps:

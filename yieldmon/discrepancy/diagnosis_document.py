@@ -112,7 +112,7 @@ def _gap(diagnosis: Diagnosis) -> Gap:
 
 
 def _correction_cells(found: Correction, base: Fit) -> list[dict[str, float]]:
-    """What to add to the published model's prediction at each cell, % of it."""
+    """Correction of the published model's prediction at each cell, %."""
     cells, fill = base.frame.cells, fills(base)
     correction_pct = 100.0 * found.at(cells.plate_angle_rad, fill, cells.elevator_speed_rad_s)
     return [

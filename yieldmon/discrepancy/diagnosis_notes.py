@@ -1,4 +1,4 @@
-"""Notes of a diagnosis beside its verdict, a sentence each."""
+"""Notes of a diagnosis in addition to its verdict, one sentence each."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from .run_order import blocked_by, drift
 from .validation import Validation
 
 _SURE = 1e-3
-"""p value from which conditions scatter more than repetitions."""
+"""p value below which conditions scatter more than repetitions."""
 _GAINS = (0.5, 4.0)
 """Impact gains of grain, with a wide margin."""
 MOST_SCATTER = 0.2
-"""Scatter of repetitions, as a share of the median reading, from which nothing is named."""
+"""Relative scatter of repetitions at the median reading from which no effect is named."""
 _MANY = 0.05
 """Share of outliers from which they are reported."""
 _NAMED_ROWS = 6
-"""Outliers that are named one by one."""
+"""Largest number of outliers that are listed."""
 
 
 def refuted(names: tuple[str, ...], validation: Validation) -> str:
@@ -50,7 +50,7 @@ def of_objection(choice: Choice) -> str:
 
 
 def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
-    """The one cell that a named verdict leaves unexplained, where the misfit that is left rests on it."""
+    """The one cell that causes the remaining misfit of a named verdict."""
     if choice.verdict != "effect":
         return []
     (without, worst), with_it = lack_of_fit_but_one(choice.best, noise), choice.lack_of_fit_after
@@ -64,7 +64,7 @@ def of_one_cell(choice: Choice, noise: Noise) -> list[str]:
 
 
 def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
-    """That a named effect leaves a misfit which another shape of its law explains."""
+    """That another shape of a named effect's law explains the remaining misfit."""
     excess = max(choice.base.chi2 - choice.base.dof, 1e-9)
     large = choice.lack_of_fit_after.p_value < policy.lack_of_fit_p or choice.lack_of_fit_after.f > policy.unexplained_f
     if choice.verdict != "effect" or not large or not left_by_own_law(choice.best, choice.steps, noise, excess, policy):
@@ -75,12 +75,12 @@ def of_own_law(choice: Choice, noise: Noise, policy: Policy) -> list[str]:
 
 
 def noise_assumed(choice: Choice) -> str:
-    """Why nothing is named where the rows do not show their noise."""
+    """Why no effect is named if the rows do not determine their noise."""
     return f"{' + '.join(choice.named)} is not named: how much these rows scatter is not known"
 
 
 def not_trusted(choice: Choice) -> str:
-    """Why effects that were found are not named: too many cases that look alike are another effect."""
+    """Why effects that were found are not named: similar cases too often have another cause."""
     first = choice.steps[0]
     names = " or ".join((first.added, *first.equivalent))
     return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
@@ -98,7 +98,7 @@ def of_bounds(found: Fit, before: Fit | None = None) -> list[str]:
 
 
 def of_gain(base: Fit) -> list[str]:
-    """That the impact gain is none of grain, where a reading in SI units asks for it: a wrong unit or speed."""
+    """That the impact gain is impossible for grain, from a reading in SI units: a unit or the speed may be wrong."""
     if not base.frame.cells.rows.si or "k1" not in base.values:
         return []
     gain = float(np.median(base.values["k1"] * fills(base) + base.values["k2"]))
@@ -111,7 +111,7 @@ def of_gain(base: Fit) -> list[str]:
 
 
 def _other_units(base: Fit) -> tuple[str, ...]:
-    """Units that would make the rows those of grain."""
+    """Units with which the rows would be plausible for grain."""
     cells, of_force = base.frame.cells, base.frame.cells.rows.of == "force"
     passes = cells.rows.machine.passes_per_s(cells.elevator_speed_rad_s)
     data = Measurements(cells.conditions(), cells.mean / passes if of_force else cells.mean)
@@ -120,13 +120,13 @@ def _other_units(base: Fit) -> tuple[str, ...]:
 
 
 def scatter_share(noise: Noise, rows: Rows) -> float:
-    """Standard deviation of a row at the median reading, as a share of it."""
+    """Relative standard deviation of a row at the median reading."""
     level = float(np.median(np.abs(rows.value)))
     return float(noise.sd(np.array(level))) / max(level, 1e-300)
 
 
 def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
-    """That rows of one condition differ by so much that columns may not belong together."""
+    """That rows of one condition differ so much that the columns may not belong together."""
     scatter = scatter_share(noise, rows)
     out = []
     if scatter > MOST_SCATTER:
@@ -140,7 +140,7 @@ def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
 
 
 def of_noise(noise: Noise) -> str:
-    """Where the noise is known from, and how large it is."""
+    """Source and size of the noise."""
     how = {
         "replicates": f"noise from replicates ({noise.dof:.0f} degrees of freedom)",
         "smooth": "no replicates: noise from the scatter about a smooth surface through the rows",
@@ -156,7 +156,7 @@ def of_noise(noise: Noise) -> str:
 
 
 def of_outliers(outlying: Rows) -> list[str]:
-    """Which rows are left out as outliers, by what a table states of them."""
+    """Which rows are left out as outliers, identified by their columns in the table."""
     count = len(outlying)
     if not count:
         return []
@@ -168,7 +168,7 @@ def of_outliers(outlying: Rows) -> list[str]:
 
 
 def of_all_rows(left: LackOfFit) -> str:
-    """That all rows together leave a misfit which those searched do not show."""
+    """That all rows together have a misfit that the searched rows do not have."""
     return (
         f"with these effects all rows together leave F = {left.f:.2f} (p = {left.p_value:.1g}): something else is missing too, "
         "or their laws are not quite these"
@@ -176,7 +176,8 @@ def of_all_rows(left: LackOfFit) -> str:
 
 
 def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
-    """Where conditions scatter more than repetitions do, without a pattern, so that no model could follow them; or less."""
+    """That conditions scatter more than repetitions without a pattern, so that no model could explain it; or that they scatter
+    less."""
     after = choice.lack_of_fit_after.f
     if noise.how == "replicates" and scipy.stats.f.cdf(after, choice.best.dof, noise.dof) < _SURE:
         return [
@@ -193,9 +194,9 @@ def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
 
 
 def of_run_order(choice: Choice, policy: Policy) -> list[str]:
-    """Named effects that a drift over the run explains as well, where rows lie load by load, or angle by angle.
+    """That a drift over the run explains the named effects as well, if the rows are sorted by load or by angle.
 
-    A note and no objection to a name: tables are commonly sorted so after measuring in turn.
+    It is a note and no objection, since tables are commonly sorted in this way after measuring in another order.
     """
     found = choice.best
     rows = found.frame.cells.rows
@@ -218,11 +219,11 @@ def of_run_order(choice: Choice, policy: Policy) -> list[str]:
 
 
 def of_overfull(opened: NDArray[np.bool_], proven_rows: int) -> list[str]:
-    """How many of the rows opened prove nothing; proven_rows: those that do."""
+    """How many of the held-out rows cannot be used. proven_rows: number of those that can."""
     lost = int(np.count_nonzero(opened)) - proven_rows
     return [f"{lost} held-out rows are not used: they overfill the paddles of the model fitted without them"] if lost else []
 
 
 def of_undetectable(effects: tuple[str, ...]) -> list[str]:
-    """Effects that this design cannot show."""
+    """Effects that this design cannot detect."""
     return [f"not detectable with these rows at any physical size: {', '.join(effects)}"] if effects else []

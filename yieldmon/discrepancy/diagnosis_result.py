@@ -27,15 +27,15 @@ class Options:
     Parameters
     ----------
     form : {"auto", "restitution", "exchange"}
-        Of the impact: one restitution, or k1 and k2.
+        Form of the impact: one restitution, or k1 and k2.
     hold_out : str
         Rows held out of the fit: "cells", "trials", "none", or a column and value such as "plate_angle_deg=70".
     without : tuple of str
-        Effects taken out of the library.
+        Effects that are excluded from the library.
     keep_effects : bool
-        The model has the effects that the parameters name, at their values, instead of none.
+        Whether the model contains the effects of the parameters, with their values; default: none.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     policy : Policy
         Thresholds for naming an effect.
 
@@ -58,7 +58,7 @@ DEFAULT = Options()
 
 @dataclass(frozen=True)
 class Measure:
-    """How far model and rows are apart: rms in the reading's unit; the two lack-of-fit numbers only where they apply."""
+    """Misfit of model and rows: rms in the reading's unit, and the two numbers of the lack-of-fit test if they apply."""
 
     rms: float
     rms_over_max_pct: float
@@ -67,14 +67,14 @@ class Measure:
 
 
 def share_closed_pct(before: float, after: float, floor: float) -> float | None:
-    """Share of the misfit (rms before and after, of noise alone) that is removed, %; None where it is within the noise."""
+    """Removed share of the misfit from its rms before, after and by noise alone, %; None if the misfit is within the noise."""
     return 100.0 * (before - after) / (before - floor) if before > floor else None
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Score on the held-out rows: how many, before and after, the noise floor, and 100 (before - after) / (before - floor);
-    None where the misfit of these rows is within their noise."""
+    """Score on the held-out rows: their number, misfit before and after, noise floor, and 100 (before - after) / (before -
+    floor), which is None if the misfit is within the noise."""
 
     rows: int
     before: Measure
@@ -82,7 +82,7 @@ class HeldOut:
     noise_floor_rms: float
     closed_pct: float | None
     closed_interval_pct: tuple[float, float] | None = None
-    """95 %: what the same rows' noise and the model's own error leave open."""
+    """95 % interval by the noise of the same rows and the model error."""
     f_interval: tuple[tuple[float, float], tuple[float, float]] | None = None
     """95 % intervals of the lack of fit before and after."""
     share: Share | None = None
@@ -90,7 +90,8 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Examination:
-    """The verdict and its validation on held-out rows. is_held_out, outlier: masks (rows,). validation: None without effects."""
+    """The verdict and its validation on held-out rows. is_held_out, outlier: masks (rows,). validation: None if there are no
+    effects."""
 
     form: str
     noise: Noise
@@ -110,17 +111,17 @@ class Diagnosis:
     ----------
     options : Options
     form : str
-        Of the impact: "restitution" or "exchange".
+        Form of the impact: "restitution" or "exchange".
     noise : Noise
-        Of the rows.
+        Noise of the rows.
     outliers : int
-        Rows that are left out.
+        Number of rows that are left out.
     choice : Choice
-        Steps, candidates and confidence; fitted to the other rows alone.
+        Steps, candidates and confidence, from the rows that were not held out.
     base, best : Fit
-        Without and with the effects that are named; fitted to every row but outliers.
+        Fits without and with the named effects, to all rows except outliers.
     leading : Fit, optional
-        The same with the leading candidates, where the verdict is "unknown" in spite of them.
+        The fit with the leading candidates if the verdict is "unknown".
     rows : Rows
         All n rows of the table.
     is_held_out : ndarray of bool
@@ -130,17 +131,17 @@ class Diagnosis:
     with_leading : Measure, optional
         The same with the leading candidates.
     held_out : HeldOut, optional
-        The same on the held-out rows; None where there are none.
+        Misfit of the held-out rows; None if there are none.
     noise_floor_rms : float
-        In the reading's unit.
+        Smallest possible rms, in the reading's unit.
     regions, remaining : tuple of Region
-        Where model and rows differ, without and with the effects.
+        Regions in which model and rows differ, without and with the effects.
     plan : Plan
         The next experiment.
     minimum_detectable : dict of str to float
-        Smallest size of each effect that these rows would show.
+        Smallest size of each effect that these rows can detect.
     undetectable : tuple of str
-        Effects that these rows would not show at any size within physical bounds; none that is named or tied.
+        Effects that these rows cannot detect at any size within physical bounds, without those that are named or tied.
     correction : Correction, optional
         Empirical correction for the remaining misfit.
     notes : tuple of str
@@ -180,12 +181,13 @@ class Diagnosis:
 
     @property
     def fitted_rows(self) -> str:
-        """The rows that `before`, `after` and `with_leading` are fitted to and judged on."""
+        """The rows to which `before`, `after` and `with_leading` refer."""
         return f"all {len(self.rows) - self.outliers} rows"
 
     @property
     def closed_pct(self) -> float | None:
-        """Share of the misfit removed on held-out rows, else on all rows. None: no effect, or no misfit there."""
+        """Removed share of the misfit of held-out rows, or of all rows if none are held out; None without an effect or a
+        misfit."""
         if self.verdict != "effect":
             return None
         if self.held_out is not None:

@@ -1,4 +1,4 @@
-"""Which rows to measure next: those that pull tied explanations apart, among what the machine can run."""
+"""Plan of the next experiment: rows that separate tied explanations, within what the machine can run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .noise import Noise
 
 _FLOWS_KG_S = (1.0, 2.0, 5.0, 9.0, 14.0, 20.0)
 REPEATS = 3
-"""Times that each planned row is to be measured."""
+"""Number of repetitions of each planned row."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class PlannedRow:
 
 @dataclass(frozen=True)
 class Plan:
-    """Rows to run (each `REPEATS` times), the pairs of effects they separate, and the power to do so at the 5 % level: of the
-    hardest pair, and of each."""
+    """Rows to run (each `REPEATS` times), the pairs of effects that they separate, and the power of this at the 5 % level, for
+    the hardest pair and for each."""
 
     rows: tuple[PlannedRow, ...]
     separates: tuple[tuple[str, str], ...]
@@ -41,10 +41,10 @@ class Plan:
 
 
 def plan(best: Fit, rivals: Sequence[Fit], noise: Noise, *, rows: int = 8) -> Plan:
-    """Greedy choice of `rows` conditions that most raise the smallest separation between the best model and its rivals.
+    """Greedy choice of `rows` conditions that maximise the smallest separation between the best model and its rivals.
 
-    The separation is the chi-square that a rival would be left with if the best model were true, after its own recalibration on
-    the old rows and the new; power from the noncentral chi-square with one degree of freedom.
+    The separation is the expected chi-square of a rival, recalibrated on old and new rows, if the best model is true. The power
+    follows from the noncentral chi-square distribution with one degree of freedom.
     """
     if not rivals:
         return Plan((), (), 0.0)
@@ -100,10 +100,10 @@ def _different(best: Fit, rival: Fit) -> tuple[str, str]:
 
 
 def separation_with(information: Array, moment: Array, square: float, jacobian: Array, difference: Array) -> Array:
-    """Separation after one more row, for every row of the grid, shape (rows,): a rank-one update in closed form.
+    """Separation after one more row, for every row of the grid, (rows,), by a rank-one update in closed form.
 
-    information J'J, moment J'd and square d'd of the old rows, whitened, J the rival's derivatives and d its difference from the
-    best model; jacobian (rows, parameters) and difference (rows,) of the new ones.
+    information, moment, square: J'J, J'd and d'd of the old rows, whitened; J: derivatives of the rival, d: its difference from
+    the best model. jacobian (rows, parameters), difference (rows,): those of the new rows.
     """
     inverse = np.linalg.inv(information)
     now = square - float(moment @ inverse @ moment)

@@ -1,7 +1,7 @@
-"""Bounded least squares of the forward model on whitened cell means, for many candidate effects in a row.
+"""Bounded least squares of the forward model on whitened cell means.
 
-With exact complex-step derivatives; a fit keeps its whitened residuals and Jacobian, from which screening, cross-validation and
-bootstraps work in the tangent plane.
+Derivatives are exact (complex step). A fit keeps its whitened residuals and Jacobian, so that screening, cross-validation and
+bootstraps can work in the tangent plane.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from .frame import Frame, Parameter, effect_parameters, predictions
 from .observations import Rows
 
 LAW_SD = 0.1
-"""Relative standard deviation of an effect's law about the one that is written, smooth over angle, load and speed."""
+"""Relative standard deviation of an effect's true law from the one in the library, smooth over angle, load and speed."""
 LAW_SD_OF_FREE_SHAPES = 0.05
-"""The same where restitution is fitted: there laws of free shape act too (`effect.where_restitution`), so that less is left."""
+"""The same if restitution is fitted; it is smaller, since there are also laws of free shape (`effect.where_restitution`)."""
 LAW_DEGREE = 2
-"""Total degree of the polynomial in angle, load and speed by which it may differ."""
+"""Total degree of the polynomial in angle, load and speed that describes the difference."""
 MOST_SEEN = 1.0
-"""The law's error is of no more than this multiple of what recalibration leaves of the effect's change."""
+"""Largest ratio of a law's error to the part of the effect's change that recalibration cannot compensate."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A model with `effects` at its least chi-square, or where the frame has a prior at the least sum of that and the prior's.
+    """A model with `effects` at its least chi-square, including that of the frame's prior if there is one.
 
     residual: (prediction - mean) / sd, shape (cells,); jacobian: its derivatives, shape (cells, parameters).
     """
@@ -54,13 +54,13 @@ class Fit:
 
     @property
     def beside_prior(self) -> float:
-        """-2 log of the frame's prior at the base parameters, beside its largest; no part of chi2."""
+        """-2 log of the frame's prior at the base parameters relative to its maximum; not part of chi2."""
         columns, mean = prior_rows(self.frame, [p.name for p in self.parameters])
         return float(np.sum((columns @ (self.x - mean)) ** 2))
 
     @property
     def dof(self) -> int:
-        """Cells less parameters, those at a bound included: F then errs on the large side."""
+        """Number of cells minus number of parameters. Those at a bound are counted, so that F is rather too large."""
         return len(self.residual) - len(self.parameters)
 
     @property
@@ -74,8 +74,8 @@ class Fit:
 
     @property
     def shapes(self) -> list[int]:
-        """Indices of the parameters that shape an effect's law without giving its size: those of a further law, except its
-        first."""
+        """Indices of the parameters that determine the shape of an effect's law and not its size: all but the first one of a
+        further law."""
         out, at = list[int](), len(self.frame.base)
         for effect in self.effects:
             count = len(get_effect(effect).parameters)
@@ -86,9 +86,9 @@ class Fit:
     def covariance(self) -> Array:
         """Covariance of the parameters in the tangent plane, shape (parameters, parameters).
 
-        The model's own error is part of it, with the size that angles and loads left out show (`estimated_error`), and so is what
-        the laws of the effects may be off. Where chi-square exceeds even that, it is that much wider (Birge's ratio). No
-        parameter's sd exceeds the width of its bounds; what is at a bound may lie anywhere between them.
+        It includes the model error, with the size estimated from angles and loads left out (`estimated_error`), and the errors of
+        the effects' laws. If chi-square is still too large, the covariance is scaled up by Birge's ratio. Standard deviations are
+        at most the width of a parameter's bounds, and a parameter at a bound may have any value between them.
         """
         scale = np.array([p.scale for p in self.parameters])
         scaled = self.jacobian * scale
@@ -102,19 +102,19 @@ class Fit:
 
     @cached_property
     def level(self) -> Array:
-        """What a relative error of the model is relative to, over sd, shape (cells,)."""
+        """Reading to which a relative model error refers, divided by sd, (cells,)."""
         frame = self.frame
         return np.asarray(model_error.level(frame.cells.mean + self.residual * frame.sd) / frame.sd)
 
     @cached_property
     def free(self) -> Array:
-        """Columns over which a relative error may be spread, shape (cells, columns)."""
+        """Columns that a relative model error consists of, (cells, columns)."""
         cells = self.frame.cells
         return model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s)
 
     @cached_property
     def shown_error(self) -> float | None:
-        """Relative size of the model's own error, from angles and loads left out; None where these do not determine it."""
+        """Relative model error, estimated from angles and loads left out; None if these do not determine it."""
         return model_error.estimated(self.residual, self.tangent(), 1.0 / self.level, self.frame.groups)
 
     @property
@@ -124,7 +124,7 @@ class Fit:
 
     @cached_property
     def shape_error(self) -> Array:
-        """Whitened columns, with independent unit weights, of what the laws of the effects may be off, shape (cells, columns).
+        """Whitened columns, with independent unit weights, of the errors of the effects' laws, (cells, columns).
 
         An effect's law may rise faster or slower with angle, load and speed than written: its change of the prediction times a
         smooth factor about 1 (`LAW_SD`, `LAW_SD_OF_FREE_SHAPES`).
@@ -133,7 +133,7 @@ class Fit:
         smooth = model_error.basis(cells.plate_angle_rad, cells.load, cells.elevator_speed_rad_s, most=LAW_DEGREE)
         columns = []
         for change in self.changes:
-            # What recalibration hides of a large change must not excuse everything that shows.
+            # A large change that recalibration mostly compensates must not lead to an error that explains everything.
             seen = float(np.linalg.norm(model_error.off(change, self.calibrating)))
             share = min(1.0, MOST_SEEN * seen / max(float(np.linalg.norm(change)), 1e-300))
             columns.append(self._law_sd * share * smooth * change[:, None])
@@ -141,12 +141,12 @@ class Fit:
 
     @property
     def _law_sd(self) -> float:
-        """What the law of an effect may be off, as a share of its change."""
+        """Relative error of an effect's law."""
         return LAW_SD_OF_FREE_SHAPES if any(p.name == "restitution" for p in self.frame.base) else LAW_SD
 
     @cached_property
     def changes(self) -> Array:
-        """Whitened change of the prediction by each effect beside the others, shape (effects, cells)."""
+        """Whitened change of the prediction by each effect, given the others, (effects, cells)."""
         frame = self.frame
         whole = real(predictions(frame, self.effects, self.values)) if self.effects else frame.cells.mean
         out = np.zeros((len(self.effects), len(self.residual)))
@@ -158,13 +158,13 @@ class Fit:
 
     @cached_property
     def calibrating(self) -> Array:
-        """Orthonormal basis of what the base parameters can do to the whitened prediction, shape (cells, rank)."""
+        """Orthonormal basis of the changes of the whitened prediction by the base parameters, (cells, rank)."""
         known = len(self.frame.base)
         return model_error.orthonormal(self.jacobian[:, :known] * np.array([p.scale for p in self.parameters[:known]]))
 
     @property
     def cancelled(self) -> float:
-        """Share, in squares and beyond recalibration, of what the effects change that cancels out; 0 for one."""
+        """Share of the effects' changes, in squares and beyond recalibration, that cancels out between them; 0 for one effect."""
         beyond = model_error.off(self.changes.T, self.calibrating)
         each, together = float(np.sum(beyond**2)), float(np.sum(np.sum(beyond, axis=1) ** 2))
         return max(1.0 - together / each, 0.0) if each > 0.0 else 0.0
@@ -191,7 +191,7 @@ class Fit:
         return self.chi2 - float(along @ np.linalg.solve(small, along)), float(np.linalg.slogdet(small)[1])
 
     def beside(self, columns: Array, scale: float, per_parameter: float) -> float:
-        """-2 log evidence of the model with further whitened columns, of free size, shape (cells, columns).
+        """-2 log evidence of the model with further whitened columns of free size, (cells, columns).
 
         scale: unit of differences in chi-square. per_parameter: what each parameter and column costs.
         """
@@ -209,7 +209,7 @@ class Fit:
         return self.marginal(self.error)
 
     def tangent(self) -> Array:
-        """Orthonormal basis of what small changes of the parameters can do to the whitened prediction, shape (cells, rank)."""
+        """Orthonormal basis of the changes of the whitened prediction by small changes of the parameters, (cells, rank)."""
         return model_error.orthonormal(self.jacobian * np.array([p.scale for p in self.parameters]))
 
     def predict(self, rows: Rows | Conditions) -> Array:
@@ -230,7 +230,8 @@ def fit(
     tolerance: float = 1e-3,
     held: Mapping[str, float] | None = None,
 ) -> Fit | None:
-    """`fit_all` from one start (base and null values where `start` is silent); None where no load fits on the paddles there."""
+    """`fit_all` from one start, with base and null values for parameters not in `start`; None if the loads overfill paddles
+    there."""
     return fit_all(frame, effects, [start or {}], iterations=iterations, tolerance=tolerance, held=held)[0]
 
 
@@ -243,10 +244,10 @@ def fit_all(
     tolerance: float = 1e-3,
     held: Mapping[str, float] | None = None,
 ) -> list[Fit | None]:
-    """Least squares from several starts at once; None where no load fits on the paddles at a start.
+    """Least squares from several starts at once; None for a start at which the loads overfill the paddles.
 
-    held: parameters that may not move from the given values. Ends when a step promises to gain less than `tolerance` in
-    chi-square relative to 1 + chi2 / dof.
+    held: parameters that stay at the given values. The iteration ends when the expected gain of a step in chi-square is less than
+    `tolerance` times 1 + chi2 / dof.
     """
     effects = tuple(effects)
     parameters = frame.base + tuple(p for e in effects for p in effect_parameters(e, frame.unit))

@@ -1,4 +1,4 @@
-"""The question that every fit to one set of cells shares, and the model's prediction for these cells."""
+"""What all fits to one set of cells have in common, and the model's prediction for these cells."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ SEARCH_NODES = 8
 FINAL_NODES = 12
 """The same for what is reported."""
 _FLOW_STEPS = 3
-"""Newton's steps from the known parameters' flows."""
+"""Number of Newton steps from the flows of the known parameters."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A free parameter: start is the published value, or the null of an effect."""
+    """A free parameter. start: the published value, or the null value of an effect."""
 
     name: str
     lower: float
@@ -40,14 +40,22 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Following:
-    """Loads that follow the parameters: at the home angle they give the force that was measured there.
+    """Loads that depend on the parameters: with any parameters they give the force that was measured at the home angle.
 
-    Tickets fix the gain: whatever the parameters, the force at home at the reference flow is the known one, `reference_n`. Flows
-    are those of the known parameters, with which the search begins.
+    Tickets determine the gain: the force at home at the reference flow is always the known one, `reference_n`.
 
-    elevator_speed_rad_s, moisture_pct: (settings + 1, 1), mass_flow_kg_s: (settings + 1, flows); the last row is the reference.
-    share: force at home over that at the reference, (settings, flows). power: d ln(force) / d ln(flow) there. place: of each of
-    the layout's cells in the flattened (settings, flows).
+    Attributes
+    ----------
+    elevator_speed_rad_s, moisture_pct : ndarray (settings + 1, 1)
+        The last row is the reference.
+    mass_flow_kg_s : ndarray (settings + 1, flows)
+        Flows with the known parameters, at which the search starts; the last row is the reference.
+    share : ndarray (settings, flows)
+        Ratio of the force at home to that at the reference.
+    power : ndarray (settings, flows)
+        d ln(force) / d ln(flow) there.
+    place : ndarray of int
+        Index of each of the layout's cells in the flattened (settings, flows).
     """
 
     elevator_speed_rad_s: Array
@@ -61,10 +69,10 @@ class Following:
 
 @dataclass(frozen=True)
 class Frame:
-    """What every fit to one set of cells shares: cells, their sd (of a mean), base parameters and fixed ones.
+    """What all fits to one set of cells have in common: cells, standard deviations of their means, base and fixed parameters.
 
-    unit: size of the reading's unit relative to SI (1 for N and kg m/s), which stretches the bounds of effects that are stated in
-    the reading's unit.
+    unit: size of the reading's unit relative to SI (1 for N and kg m/s). Bounds of effects in the reading's unit are scaled by
+    it.
     """
 
     cells: Cells
@@ -75,28 +83,29 @@ class Frame:
     nodes: int = SEARCH_NODES
     model_error: float = model_error.FLOOR
     following: Following | None = None
-    """Flows by the parameters (restitution follows as well, and is no base parameter); None: the cells' own."""
+    """How flows depend on the parameters (restitution is then determined as well, and is no base parameter); None: known
+    flows."""
     prior: Prior | None = None
-    """What is known of base parameters before these cells; None: their bounds only."""
+    """Prior of the base parameters; None: only their bounds."""
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Effects that belong to the model from the start, their parameters among the fixed ones."""
+        """Effects that are part of the model, with fixed parameters."""
         named = {name.partition(".")[0] for name in self.fixed if "." in name}
         return tuple(sorted(name for name in named if changes_force(name)))
 
     def with_cells(self, cells: Cells, sd: Array) -> Frame:
-        """The same questions about other cells, worked out as they are reported."""
+        """The same frame with other cells, with the accuracy of reported results."""
         return replace(self, cells=cells, sd=sd, nodes=FINAL_NODES)
 
     @property
     def groups(self) -> list[NDArray[np.int64]]:
-        """Plate angles and loads to leave out whole."""
+        """Groups of cells to leave out: by plate angle and by load."""
         return model_error.groups_of(self.cells.plate_angle_rad, self.cells.load)
 
 
 def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
-    """Free parameters of an effect, with bounds in the reading's unit where the effect is stated in it."""
+    """Free parameters of an effect; bounds are in the reading's unit if the effect is."""
     known = get_effect(effect)
     out = []
     for p in known.parameters:
@@ -119,7 +128,7 @@ def effect_parameters(effect: str, unit: float) -> tuple[Parameter, ...]:
 
 
 def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, ArrayLike]) -> Array:
-    """Prediction for each cell of the frame, shape (..., cells); values are numbers or carry leading axes of shape (..., 1)."""
+    """Prediction for each cell of the frame, (..., cells); values are numbers, or arrays (..., 1) for a batch."""
     cells = frame.cells
     model = ForwardModel(cells.rows.machine, (*frame.known, *effects), nodes=frame.nodes)
     evaluate = model.force if cells.rows.of == "force" else model.paddle_momentum
@@ -140,9 +149,9 @@ def predictions(frame: Frame, effects: Iterable[str], values: Mapping[str, Array
 
 
 def _followed(model: ForwardModel, following: Following, values: Mapping[str, AnyArray]) -> tuple[AnyArray, AnyArray]:
-    """Flow of each of the layout's cells, and the gain by which the force at the reference is the known one.
+    """Flow of each of the layout's cells, and the gain with which the force at the reference is the known one.
 
-    Newton's steps in ln(flow) with a real slope: the last ones carry complex parts along, so that derivatives follow too.
+    Newton steps in ln(flow) with a real slope. The last ones also make the complex parts correct, and with them the derivatives.
     """
     home = model.machine.home_plate_angle_rad
     throw = model.throw(home, following.elevator_speed_rad_s, values, following.moisture_pct)

@@ -1,4 +1,4 @@
-"""Score of the held-out rows: how far the model is from them with and without the effects that were found."""
+"""Misfit of the held-out rows with and without the effects that were found."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .observations import Rows
 from .validation import Share, mean_square_interval, share
 
 _FAR_SD = 8.0
-"""Standard deviations from both models beyond which a row may be an outlier."""
+"""Deviation from both models, in standard deviations, beyond which a row may be an outlier."""
 _OFF_CELL_SD = 5.0
-"""Standard deviations from the median of its repetitions beyond which a replicated row is one."""
+"""Deviation from the median of its repetitions, in standard deviations, beyond which a repeated row is an outlier."""
 _REPLICATES = 3
 """Least number of repetitions for which the median of a condition identifies an outlier."""
 
@@ -34,18 +34,18 @@ def score_held_out(
     rows : Rows
         All rows.
     is_held_out : ndarray of bool
-        (rows,) True: held out.
+        (rows,) Which rows are held out.
     base, best : Fit
-        Without and with the effects that were found, fitted to the other rows.
+        Fits without and with the effects that were found, to the other rows.
     noise : Noise
-        Of the other rows.
+        Noise of the other rows.
 
     Returns
     -------
     held_out : HeldOut or None
-        None where no held-out row can be used.
+        None if no held-out row can be used.
     outlying : ndarray of bool
-        (rows,) held-out rows that are left out as outliers.
+        (rows,) Held-out rows that are left out as outliers.
     """
     outlying = np.zeros(len(rows), dtype=bool)
     if not np.any(is_held_out):
@@ -86,7 +86,7 @@ def score_held_out(
 
 
 def _contradicted(kept: Rows, before: Array, after: Array, sd: Array) -> NDArray[np.bool_]:
-    """Rows that both models miss by as much, and by far: the sensor's doing, not the model's."""
+    """Rows with the same large deviation from both models, which is attributed to the sensor."""
     with np.errstate(invalid="ignore"):
         nearest = np.minimum(np.abs(before - kept.value), np.abs(after - kept.value))
     same_cell = np.array([np.median(kept.value[kept.cell == c]) for c in kept.cell])
@@ -95,7 +95,7 @@ def _contradicted(kept: Rows, before: Array, after: Array, sd: Array) -> NDArray
 
 
 def _closed_interval_pct(found: Share, square_before: float, count: int) -> tuple[float, float] | None:
-    """95 % interval of the share of the misfit that is removed; square_before: mean square of the whitened residuals before."""
+    """95 % interval of the removed share of the misfit. square_before: mean square of the whitened residuals before."""
     if not (found.power > 0.0 and square_before > 1.0):
         return None
     low, high = (

@@ -1,8 +1,8 @@
-"""Whether the model misses the data by more than they scatter, and where.
+"""Test whether the model deviates from the data by more than their noise, and in which region.
 
-Lack of fit: whitened residual mean square against pure error, F(dof, dof of the noise); in the tangent plane this is the exact
-distribution, and a test holds it against a full nonlinear bootstrap. Where: a scan over contiguous windows of plate angle, fill
-and speed, with the family-wise p value of the largest window sum.
+Lack of fit: mean square of the whitened residuals against pure error, F(dof, dof of the noise). In the tangent plane this is the
+exact distribution; a test compares it with a full nonlinear bootstrap. Region: a scan over contiguous windows of plate angle,
+fill and speed, with the family-wise p value of the largest window sum.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from .observations import SAME_SPEED, Rows
 DRAWS = 2000
 _LEAST_DOF = 5
 _MOST_EXPECTED = 1e4
-"""Noncentrality from which on every test is sure."""
+"""Noncentrality from which on the power of every test is 1."""
 _LEAST_BEYOND = 0.3
-"""Share of a window's change that recalibration, and the windows before it, must leave of it."""
+"""Least share of a window's change that must remain after recalibration and the windows before it."""
 _LEAST_LEVEL = 0.1
-"""Level, as a share of the largest, that a reading counts for at least: an error near zero is no relative one."""
+"""Least level of a reading relative to the largest one, since a relative error is not meaningful near zero."""
 _MOST_REGIONS, _REGION_P = 6, 0.05
 
 
@@ -45,7 +45,8 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class Region:
-    """A window where the model is off: ranges (SI, radians, fill 0..1), signed error (model minus measurement), family-wise p."""
+    """A region with an error of the model: ranges (SI, radians, fill 0..1), error (model minus measurement), family-wise p
+    value."""
 
     plate_angle_rad: tuple[float, float]
     fill: tuple[float, float]
@@ -56,11 +57,13 @@ class Region:
 
 
 def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True, beside: Array | None = None) -> LackOfFit:
-    """The test for one fit; p is 1 where no degree of freedom is left.
+    """Test one fit; p is 1 if there is no degree of freedom.
 
-    F is against the noise alone, with what the laws of the fit's effects may be off integrated out (not without `laws`; `beside`:
-    whitened columns in its place, shape (cells, columns), with unit weights). p allows
-    for the model's own error as well: its and the noise's mean square together, by their first two moments (Satterthwaite).
+    F is relative to the noise alone, with the errors of the effects' laws integrated out. p also includes the model error: the
+    distribution of both mean squares together is approximated by its first two moments (Satterthwaite).
+
+    laws: whether to integrate out errors of the laws. beside: whitened columns with unit weights to integrate out instead,
+    (cells, columns).
     """
     if fit.dof <= 0:
         return LackOfFit(float("nan"), 1.0)
@@ -69,10 +72,10 @@ def lack_of_fit(fit: Fit, noise: Noise, *, laws: bool = True, beside: Array | No
 
 
 def lack_of_fit_but_one(fit: Fit, noise: Noise) -> tuple[LackOfFit, int]:
-    """The test without the one cell that lies furthest from the fit, and that cell: one bad reading is no missing effect.
+    """The test without the cell that is farthest from the fit, and that cell, since one bad reading is no missing effect.
 
-    The fit without it is worked out in the tangent plane (externally studentised residuals, Cook and Weisberg 1982); what
-    the laws of the effects may be off is not allowed for.
+    The fit without it is computed in the tangent plane (externally studentised residuals, Cook and Weisberg 1982). Errors of the
+    effects' laws are not included.
     """
     leverage = np.sum(np.square(fit.tangent()), axis=1)
     gain = np.square(fit.residual) / np.maximum(1.0 - leverage, 1e-9)
@@ -81,9 +84,9 @@ def lack_of_fit_but_one(fit: Fit, noise: Noise) -> tuple[LackOfFit, int]:
 
 
 def lack_without_pattern(fit: Fit, noise: Noise) -> LackOfFit:
-    """The test for what no relative error over angle and load, angle and speed, or load and speed takes up, whatever its form.
+    """Test for a misfit that no relative error as a function of two of angle, load and speed explains.
 
-    What is left there scatters from condition to condition, as no model does. p is 1 where such errors take up everything.
+    Such a misfit scatters from condition to condition, which no model can explain. p is 1 if these errors explain everything.
     """
     cells = fit.frame.cells
     axes = (
@@ -104,9 +107,10 @@ def lack_without_pattern(fit: Fit, noise: Noise) -> LackOfFit:
 
 
 def change_with_load(fit: Fit, noise: Noise) -> tuple[LackOfFit, float]:
-    """The test for one reading at each angle and speed, whatever the load, and its power at 1 % for one in proportion to load.
+    """Test for readings that do not depend on the load at each angle and speed, and its power at 1 % for readings proportional to
+    the load.
 
-    p is 1 and the power 0 where the rows have hardly more than one load there.
+    p is 1 and the power 0 if the rows have hardly more than one load there.
     """
     cells = fit.frame.cells
     axes = cluster(cells.plate_angle_rad, SAME_ANGLE_RAD), cluster(np.log(cells.elevator_speed_rad_s), SAME_SPEED)
@@ -142,12 +146,12 @@ def row_rms(fit: Fit, rows: Rows) -> float:
 
 
 def noise_floor(noise: Noise, fit: Fit, rows: Rows) -> float:
-    """Root mean square that a perfect model would leave on those rows."""
+    """Root mean square of these rows with a perfect model."""
     return float(np.sqrt(np.mean(noise.of_rows(rows, fit.predict(rows)) ** 2)))
 
 
 def fills(fit: Fit) -> Array:
-    """Load over a full paddle of each cell, at the nominal 1 where the density is at its fitted value."""
+    """Ratio of each cell's load to a full paddle, with the fitted density."""
     cells = fit.frame.cells
     machine = cells.rows.machine
     values = fit.values
@@ -159,16 +163,17 @@ def fills(fit: Fit) -> Array:
 
 
 def where(fit: Fit, noise: Noise, rng: np.random.Generator) -> tuple[Region, ...]:
-    """Windows in which one relative error explains more than chance anywhere allows, strongest first, none overlapping.
+    """Windows in which one relative error is significant, strongest first, without overlap.
 
-    Each is judged beside recalibration and those before it, so that what recalibration spreads of one window's error over the
-    others is not shown as theirs. A window holds at most half of the cells: recalibration follows most of them, the rest is off.
+    Each window is tested together with recalibration and the windows before it, so that an error that recalibration distributes
+    over other windows is not attributed to these. A window contains at most half of the cells, because recalibration adapts to
+    the majority.
     """
     cells = fit.frame.cells
     fill = fills(fit)
     angles = _steps(cells.plate_angle_rad, SAME_ANGLE_RAD, 11)
     speeds = _steps(np.log(cells.elevator_speed_rad_s), SAME_SPEED, 5)
-    # What happens on the paddles goes by fill, what happens behind them by flow.
+    # Effects on the paddles depend on the fill, those behind them on the flow.
     loads = [_steps(np.log(np.maximum(load, 1e-9)), SAME_LOAD, 6) for load in (fill, cells.load)]
     windows = np.unique(np.concatenate([_windows([angles, steps, speeds]) for steps in loads]), axis=0)
     tangent = fit.tangent()
@@ -177,7 +182,7 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator) -> tuple[Region, ...
     length = np.linalg.norm(changes, axis=1)
     changes = changes - (changes @ tangent) @ tangent.T
     norm = np.linalg.norm(changes, axis=1)
-    # A window that recalibration can almost absorb is no evidence.
+    # A window that recalibration can almost compensate is no evidence.
     keep = norm > _LEAST_BEYOND * length
     inside, changes, norm, least = windows[keep] > 0.0, changes[keep], norm[keep], _LEAST_BEYOND * length[keep]
     directions = changes / norm[:, None]
@@ -186,7 +191,7 @@ def where(fit: Fit, noise: Noise, rng: np.random.Generator) -> tuple[Region, ...
     while len(out) < _MOST_REGIONS and len(inside):
         score = (changes @ fit.residual) / norm
         best = int(np.argmax(np.abs(score)))
-        # The draws are of the first window; those of a later one, with less room, are no larger.
+        # The random draws are for the first window; those for a later one would not be larger.
         p = float((1 + np.count_nonzero(largest >= abs(score[best]))) / (1 + len(largest)))
         if p > _REGION_P:
             break
