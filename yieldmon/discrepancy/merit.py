@@ -17,19 +17,19 @@ from .policy import Policy
 
 
 def far_ahead(found: Fit, steps: Sequence[Step], policy: Policy) -> bool:
-    """Whether one effect explains the rows, and every rival that is not tied is behind by very strong evidence."""
+    """Whether one effect explains the rows, with very strong evidence against every rival that is not tied."""
     return len(found.effects) == 1 and steps[0].margin >= chosen_from_all(policy.per_parameter)
 
 
 def by_own_error(found: Fit) -> float:
-    """Chi-square that the model's own error makes in the mean."""
+    """Mean chi-square by the model error."""
     return float(np.sum(off(found.own_error, found.tangent()) ** 2))
 
 
 def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: float, policy: Policy) -> bool:
-    """Whether one effect, far ahead of all others, leaves a small misfit by its law as written that another shape explains.
+    """Whether one effect, far better than all others, leaves a small misfit that another shape of its law explains.
 
-    The chi-square by the model's own error is not part of the misfit.
+    The chi-square by the model error is not part of the misfit.
     """
     if not far_ahead(found, steps, policy):
         return False
@@ -41,15 +41,16 @@ def left_by_own_law(found: Fit, steps: Sequence[Step], noise: Noise, excess: flo
 
 
 def misfit(fits: Sequence[Fit]) -> float:
-    """Chi-square per degree of freedom of the best of the fits, laws integrated out, at least 1: the unit of differences."""
+    """Chi-square per degree of freedom of the best fit with errors of laws integrated out, at least 1; the unit of
+    differences."""
     return max(min((f.integrated[0] / max(f.dof, 1) for f in fits), default=1.0), 1.0)
 
 
 def merit(candidate: Fit, scale: float, policy: Policy) -> float:
-    """-2 log of a fit's evidence: chi-square over `scale` with its errors integrated out, and what its parameters cost.
+    """-2 log of a fit's evidence: chi-square / `scale` with errors integrated out, plus the cost of its parameters.
 
-    That is their number, and their distance in wide prior widths; the shape of a law costs by how far the rows settle it, no
-    more than its number: what they leave open is integrated over its prior.
+    The cost depends on the number of parameters and their distance from the prior in wide prior widths. A parameter of a law's
+    shape costs less the less the rows determine it, since it is integrated over its prior.
     """
     chi2, volume = candidate.integrated
     cost = volume + sum(parameter_costs(candidate, policy.per_parameter))
@@ -71,7 +72,7 @@ def parameter_costs(found: Fit, per_parameter: float) -> list[float]:
 
 
 def by_weight(current: Fit, order: Sequence[str]) -> list[str]:
-    """Effects by the chi-square that leaving each out would cost, greatest first."""
+    """Effects in descending order of the increase of chi-square without each."""
     if len(order) < 2:
         return list(order)
     costs = {}

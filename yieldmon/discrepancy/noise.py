@@ -1,4 +1,4 @@
-"""What the measurement itself scatters: replicates where there are any, else a stated model.
+"""Noise of the measurements, from repetitions if there are any, else from a model.
 
 Standard deviation of one row as sqrt(a^2 + (b y)^2) of its level y; b is kept only where the data ask for it (likelihood ratio on
 the cells' variances, 5 %). Rows that state their own standard deviation keep it; the law of the level is then for rows to come.
@@ -29,21 +29,21 @@ from yieldmon.physics.numerics import Array
 from .observations import Cells, Rows, cells
 
 _LEAST_REPLICATE_DOF = 3
-"""Enough where the rows are too few for a smooth surface."""
+"""Sufficient if the rows are too few for a smooth surface."""
 _STATED_DOF = 1e6
-"""Of noise that is taken at its word."""
+"""Degrees of freedom of a stated noise, which is assumed to be known."""
 _REFUTED = 0.001
-"""p value below which repetitions refute the standard deviations that rows state."""
+"""p value below which repetitions contradict the stated standard deviations of the rows."""
 _ASSUMED = (0.002, 0.01)
-"""Standard deviation, as shares of the largest reading and of each, where the rows do not show it."""
+"""Assumed standard deviation, relative to the largest reading and to each, if the rows do not determine it."""
 
 
 @dataclass(frozen=True)
 class Noise:
     """sd of one row: sqrt(constant^2 + (proportional y)^2), with dof behind it.
 
-    how: "replicates", "smooth", "stated" or "assumed". shared: the part of the constant one that repetitions have in common.
-    times: what the rows' own standard deviations are multiplied by, where repetitions scatter more than these say.
+    how: "replicates", "smooth", "stated" or "assumed". shared: the part of the constant that repetitions have in common.
+    times: factor on the rows' own standard deviations, if repetitions scatter more than these.
     """
 
     constant: float
@@ -58,7 +58,7 @@ class Noise:
         return np.sqrt(self.constant**2 + (self.proportional * level) ** 2)
 
     def of_rows(self, rows: Rows, level: Array) -> Array:
-        """Standard deviation of each row, shape (rows,): its own where the rows state it, else that of its `level`."""
+        """Standard deviation of each row, (rows,): the stated one if there is any, else that of its `level`."""
         return self.times * rows.sigma if rows.stated else self.sd(level)
 
     def of_cells(self, grouped: Cells) -> Array:
@@ -70,7 +70,8 @@ class Noise:
 
 
 def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
-    """Noise, and which rows are outliers: beyond 5 sd of their cell's median (or of the smooth surface), never to be fitted."""
+    """Noise, and which rows are outliers: more than 5 sd from their cell's median (or the smooth surface); they are never
+    fitted."""
     if rows.stated:
         times, dof = _beyond_stated(rows)
         return Noise(*scatter_law(rows.value, times * rows.sigma), dof, "stated", times=times), np.zeros(len(rows), dtype=bool)
@@ -81,8 +82,8 @@ def estimate(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 
 def _beyond_stated(rows: Rows) -> tuple[float, float]:
-    """What repetitions scatter by over the standard deviations that rows state, and the degrees of freedom behind it; 1 where
-    chance explains it, and where few repeat. Outliers among them do not count."""
+    """Ratio of the scatter of repetitions to the stated standard deviations of rows, and its degrees of freedom. The ratio is 1
+    if chance explains it, or few rows repeat. Outliers do not count."""
     count = np.bincount(rows.cell)
     dof = len(rows) - len(count)
     if dof < LEAST_PURE_DOF:
@@ -119,16 +120,17 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
 
 
 def _rounded(noise: Noise, rounding: float) -> Noise:
-    """Noise no smaller than rounding makes it: repetitions of readings in coarse steps agree, and are no more exact for that, nor
-    is their mean."""
+    """The noise, at least that of rounding. Readings in coarse steps may repeat exactly, but neither they nor their mean are more
+    accurate because of it."""
     return noise if rounding <= noise.constant else replace(noise, constant=rounding, shared=rounding)
 
 
 def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDArray[np.bool_]:
-    """The outliers of cells that hold suspects.
+    """The outliers of cells that contain suspects.
 
-    Where few rows repeat, the majority of a cell may be wrong: the row nearest to a smooth surface through the cells without
-    suspects is trusted (over a majority only where it is five times nearer), and those that contradict it are not.
+    With few repetitions the majority of a cell may be wrong. Therefore the row nearest to a smooth surface through the cells
+    without suspects is assumed to be right (against a majority only if it is five times nearer), and rows that contradict it are
+    outliers.
     """
     count = np.bincount(rows.cell)[rows.cell]
     out = suspect & (count > 4)

@@ -21,14 +21,14 @@ from .run_order import is_asked, of_order, speeds_in_turn
 
 @dataclass(frozen=True, kw_only=True)
 class Objections:
-    """Judges fits with effects by the rows that they are fitted to.
+    """Tests fits with effects on the rows to which they were fitted.
 
     Parameters
     ----------
     base : Fit
         The published model.
     noise : Noise
-        Of the rows.
+        Noise of the rows.
     policy : Policy
         Thresholds.
     """
@@ -39,16 +39,16 @@ class Objections:
 
     @property
     def excess(self) -> float:
-        """Chi-square of the published model above its degrees of freedom."""
+        """Excess of the published model's chi-square over its degrees of freedom."""
         return max(self.base.chi2 - self.base.dof, 1e-9)
 
     def incomplete(self, current: Fit) -> bool:
-        """Whether the data refute that nothing is missing any more."""
+        """Whether the data show that an effect is still missing."""
         test = lack_of_fit(current, self.noise)
         return test.f > self.policy.complete_f and test.p_value < self.policy.lack_of_fit_p
 
     def unexplained(self, current: Fit) -> bool:
-        """Whether what is left is significant, and too much to call the misfit explained, whatever the effects' laws are."""
+        """Whether the remaining misfit is significant and too large to be called explained, whatever the effects' laws are."""
         test = lack_of_fit(current, self.noise, laws=False)
         family = lack_of_fit(current, self.noise)
         most = max(self.policy.unexplained_f, self.policy.unexplained_of_f * lack_of_fit(self.base, self.noise).f)
@@ -56,12 +56,12 @@ class Objections:
         return test.p_value < self.policy.lack_of_fit_p and much
 
     def first(self, current: Fit, steps: Sequence[Step]) -> str:
-        """The first objection to naming the steps of a fit as the cause; "" where there is none."""
+        """The first objection to naming the steps of a fit as the cause; "" if there is none."""
         tied = 1 + len(steps[0].equivalent)
         if tied > self.policy.largest_class:
             return f"{tied} effects explain these rows alike"
         test = lack_of_fit(current, self.noise)
-        # Beside rivals that are hardly worse, an effect has to explain what the model's own error may have made as well.
+        # If rivals are hardly worse, an effect must also explain the misfit that the model error may cause.
         owned = by_own_error(current) if far_ahead(current, steps, self.policy) else 0.0
         left = (current.chi2 - current.dof - owned) / self.excess
         searched = rows_searched(current)
@@ -78,7 +78,7 @@ class Objections:
         return self._other_laws(current) or self._of_one_angle(current) or self._of_order(current)
 
     def _other_laws(self, current: Fit) -> str:
-        """Why other laws of the others may be at work instead of one of several effects; "" where none may."""
+        """Why other laws of the other effects may explain the rows instead of one of several effects; "" if none may."""
         scale = misfit([current])
         each = needed(current, scale, self.policy.per_parameter)
         if not each:
@@ -97,7 +97,7 @@ class Objections:
         return ""
 
     def _of_one_angle(self, current: Fit) -> str:
-        """Why the rows of a single plate angle may be what is wrong; "" where they are not."""
+        """Why the rows of a single plate angle may be wrong; "" if there is no sign of it."""
         scale = misfit([current])
         alone = one_angle_off(self.base, scale, self.policy.per_parameter)
         if alone is None:
@@ -108,7 +108,7 @@ class Objections:
         return f"an error of the rows at {at} alone explains the misfit as well"
 
     def _of_order(self, current: Fit) -> str:
-        """Why the order in which the rows were measured may be at work in the place of an effect; "" where it may not."""
+        """Why a drift in the order of measurement may be the cause instead of an effect; "" if not."""
         if not is_asked(current.frame.cells.rows):
             return ""
         scale = misfit([current])

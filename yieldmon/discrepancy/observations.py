@@ -23,11 +23,11 @@ SAME_MOISTURE_PCT = 0.5
 
 @dataclass(frozen=True)
 class Rows:
-    """One entry a measurement, arrays of shape (rows,); SI and radians.
+    """Measurements, arrays of shape (rows,); SI and radians.
 
-    load_name: mass_flow_kg_s or paddle_mass_kg. of: what is measured, "force" or "momentum" (per paddle). moisture_pct is nan
-    where unknown, sigma nan where the table states none. cell: number of the condition that the row repeats. order: when each
-    row was measured, `timed` where the table says so in s, else its place in the table; None: not known.
+    load_name: mass_flow_kg_s or paddle_mass_kg. of: the measured quantity, "force" or "momentum" (per paddle). moisture_pct: nan
+    if unknown. sigma: nan if the table states none. cell: number of the condition that the row repeats. order: order of
+    measurement, s if `timed`, else the place in the table; None: not known.
     """
 
     machine: Machine
@@ -82,7 +82,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Layout:
-    """Cells laid out as settings by loads, so that what depends on the setting alone is worked out once.
+    """Cells as a table of settings by loads, so that what depends on the setting alone is computed once.
 
     angle, speed and moisture have shape (settings, 1), load (settings, most loads), padded with a setting's own last load; place
     is each cell's position in the flattened (settings, most loads).

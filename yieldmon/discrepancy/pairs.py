@@ -1,4 +1,4 @@
-"""Every two effects screened together: what two may explain where neither alone does much, or each alone misleads."""
+"""Screening of pairs of effects, for cases in which each one alone explains little or is misleading."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .candidates import Score, Signature
 from .fit import Fit
 
 LONGEST = 1.5
-"""Times its own size to which a signature is trusted."""
+"""Largest factor on a signature's size."""
 
 
 @dataclass(frozen=True)
 class PairScore:
-    """Best linear guess for two effects: the chi-square they would leave, and parameters to start from."""
+    """Result of linear screening of two effects: remaining chi-square, and parameters to start a fit from."""
 
     effects: tuple[str, str]
     chi2: float
@@ -28,8 +28,7 @@ class PairScore:
 def screen(base: Fit, drawn: Iterable[Signature], singles: Iterable[tuple[Fit, Iterable[Score]]]) -> list[PairScore]:
     """Each pair of effects once, the most promising first.
 
-    drawn: signatures beside `base`, every two of which are combined. singles: fits with one effect, with what each further effect
-    would gain beside it.
+    drawn: signatures relative to `base`, combined in pairs. singles: fits with one effect, with the gain of each further effect.
     """
     best: dict[tuple[str, str], tuple[float, dict[str, float]]] = {}
     points = [(s, i) for s in drawn for i in range(len(s.points)) if float(np.sum(s.change[i] ** 2)) > 1e-12]
@@ -51,10 +50,10 @@ def screen(base: Fit, drawn: Iterable[Signature], singles: Iterable[tuple[Fit, I
 
 
 def best_of_two(gram: Array, along: Array) -> tuple[Array, Array]:
-    """Gain in chi-square of every two signatures, each taken 0 to `LONGEST` times, and the times that the row's one is taken.
+    """Gain in chi-square of every two signatures, each with a factor of 0 to `LONGEST`, and the factor of the row's one.
 
-    gram: scalar products of the signatures, shape (n, n); along: of each with what is to be explained, shape (n,). Exact: the
-    optimum of a quadratic in a box is the free one, or lies on an edge.
+    gram: scalar products of the signatures, (n, n). along: scalar products with the misfit, (n,). The result is exact, since the
+    optimum of a quadratic function in a box is the free one or lies on an edge.
     """
     first, second = along[:, None], along[None, :]
     norm_first, norm_second = np.diag(gram)[:, None], np.diag(gram)[None, :]

@@ -12,7 +12,7 @@ from .experiment import REPEATS, Plan
 
 
 def write_plan(plan: Plan, path: Path) -> Path:
-    """Write the rows as CSV, each to be measured `REPEATS` times, and beside it the sweep section; returns the latter's path."""
+    """Write the rows as CSV (each to be measured `REPEATS` times) and the sweep section beside it; returns the latter's path."""
     lines = ["plate_angle_deg,mass_flow_kg_s,elevator_speed_rpm,repeats"]
     for row in plan.rows:
         lines.append(
@@ -25,12 +25,12 @@ def write_plan(plan: Plan, path: Path) -> Path:
 
 
 def schedule_path(path: Path) -> Path:
-    """Where `write_plan` puts the sweep section of the plan that it writes to `path`."""
+    """Path of the sweep section that `write_plan` writes for a plan at `path`."""
     return path.with_suffix(".sweep.yaml")
 
 
 def sweep_section(plan: Plan) -> str:
-    """Configuration text: the `sweep` keys under which the daemon visits the plan's angles; speed and flow are the operator's."""
+    """Configuration text with the `sweep` keys for the plan's angles; the operator sets speed and flow."""
     angles = sorted({round(degrees(r.plate_angle_rad), 3) for r in plan.rows})
     speeds = sorted({round(r.elevator_speed_rad_s / RPM) for r in plan.rows})
     flows = sorted({round(r.mass_flow_kg_s, 2) for r in plan.rows})

@@ -1,4 +1,4 @@
-"""The published model fitted to the rows of a diagnosis, and what makes the rows themselves doubtful."""
+"""Fit of the published model to the rows of a diagnosis, and checks of the rows themselves."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from .noise import Noise
 from .observations import Rows, cells
 
 LEAST_RESTITUTION = 0.25
-"""Below this a fit of 1 + restitution describes something else than rebound, such as grain that shields the plate from grain."""
+"""Value of 1 + restitution below which a fit describes something other than rebound, such as grain that shields the plate."""
 _SAME = 0.01
-"""p value from which readings at one angle and speed are the same at every load."""
+"""p value above which readings at one angle and speed count as the same at every load."""
 _SURE = 0.999
-"""Power from which a change with load would have shown."""
+"""Least power with which a change with load would have been detected."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """The published model on the rows of a diagnosis; form: "restitution" or "exchange"; notes: what is to be said of the fit."""
+    """The published model fitted to the rows of a diagnosis. form: "restitution" or "exchange". notes: on the fit, for the
+    user."""
 
     form: str
     base: Fit
@@ -38,7 +39,7 @@ class Published:
 
     @property
     def frame(self) -> Frame:
-        """What the fits that follow share."""
+        """Frame of the following fits."""
         return self.base.frame
 
 
@@ -50,18 +51,18 @@ def fit_published(
     Parameters
     ----------
     rows : Rows
-        Those that are not held out.
+        Rows that are not held out.
     noise : Noise
-        Of the rows.
+        Noise of the rows.
     parameters : ParameterSet
-        Of the present model: what is not fitted.
+        Of the present model, for what is not fitted.
     form : {"auto", "restitution", "exchange"}
-        Of the impact; "auto": the restitution, or k1 and k2 where the parameters have these, the reading is of no SI unit, or
-        the restitution ends at its bound.
+        Form of the impact; "auto": the restitution, or k1 and k2 if the parameters have these, the reading is not in an SI unit,
+        or the restitution ends at its bound.
     keep_effects : bool
         See `Options`.
     name : str
-        Of the table, for errors.
+        Name of the table in error messages.
 
     Returns
     -------
@@ -70,7 +71,7 @@ def fit_published(
     Raises
     ------
     InputError
-        For too few conditions, or loads that no paddle of this machine can hold.
+        For too few conditions, or loads that exceed the paddles of this machine.
     """
     grouped = cells(rows)
     sd = noise.of_cells(grouped)
@@ -95,9 +96,9 @@ def fit_published(
 def exchange_instead(
     published: Published, rows: Rows, noise: Noise, parameters: ParameterSet, *, keep_effects: bool, name: str = "table"
 ) -> Published | None:
-    """The published model with k1 and k2, where its restitution is less than grain's; None where it is not.
+    """The published model with k1 and k2, if its restitution is lower than that of grain; None if it is not.
 
-    published, rows, noise, parameters, keep_effects, name: as it was fitted with `form="auto"`.
+    published, rows, noise, parameters, keep_effects, name: those of the fit with `form="auto"`.
     """
     value = published.base.values.get("restitution", LEAST_RESTITUTION)
     if published.form != "restitution" or value >= LEAST_RESTITUTION:
@@ -111,7 +112,7 @@ def exchange_instead(
 
 
 def check_load(base: Fit, noise: Noise, name: str) -> None:
-    """Raises InputError where readings do not change with load, though the model's change would have shown."""
+    """Raises InputError if readings do not change with load, although the model's change would have been detected."""
     change, power = change_with_load(base, noise)
     if change.p_value >= _SAME and power > _SURE:
         raise InputError(
@@ -122,9 +123,9 @@ def check_load(base: Fit, noise: Noise, name: str) -> None:
 
 
 def angles_asked(rows: Rows, published: Published, noise: Noise, parameters: ParameterSet, *, keep_effects: bool) -> str:
-    """A question where the model explains the rows far better with plate angles from another line, "" where it does not.
+    """A question to the user if the model explains the rows far better with plate angles on another line; "" if it does not.
 
-    rows, noise, parameters, keep_effects: as `published` was fitted with.
+    rows, noise, parameters, keep_effects: those of the fit of `published`.
     """
 
     def misfit(found: Fit, measured: Rows) -> float:

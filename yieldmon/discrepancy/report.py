@@ -1,4 +1,4 @@
-"""A report in one HTML page with its pictures beside and inside it."""
+"""A report as one HTML page, with its pictures embedded and as files beside it."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _STYLE = (
 
 _PAGE_NAME = "index.html"
 FILES = (_PAGE_NAME, "where.png", "after.png", "profiles.png", "ranking.png")
-"""What `write_report` writes."""
+"""Files that `write_report` writes."""
 
 
 def check_pictures() -> None:
-    """Raises InputError when matplotlib, which draws a report's pictures, is not installed."""
+    """Raises InputError if matplotlib, which is needed for the pictures, is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ModuleNotFoundError as error:
@@ -95,7 +95,7 @@ def summary(diagnosis: Diagnosis) -> str:
 
 
 def _how_well(diagnosis: Diagnosis) -> str:
-    """As well as they repeat, or only as well as models agree."""
+    """Whether the model explains the rows within their repeatability, or only within the usual model error."""
     error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
     f, base = diagnosis.before.lack_of_fit_f, diagnosis.base
     if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.lack_of_fit_p:
@@ -105,7 +105,7 @@ def _how_well(diagnosis: Diagnosis) -> str:
 
 
 def _not_named(diagnosis: Diagnosis) -> str:
-    """Why there is no name, and what comes nearest to one."""
+    """Why no effect is named, and the best candidates."""
     found = diagnosis.with_leading
     if found is None:
         return "No known cause explains it."
@@ -126,7 +126,7 @@ def _with_ties(step: Step) -> str:
 
 
 def tied_names(step: Step) -> str:
-    """Effects tied with a name; of more than a class holds, how many there are: `--json` lists them."""
+    """Effects tied with a name; if too many, only their number (`--json` lists them)."""
     count = len(step.equivalent)
     return ", ".join(step.equivalent) if count < DEFAULT.largest_class else f"one of {count} others"
 
@@ -136,7 +136,7 @@ def _named(diagnosis: Diagnosis) -> tuple[Step, ...]:
 
 
 def _cause(step: Step) -> str:
-    """One named effect in a sentence; one of several where these data do not distinguish them."""
+    """A sentence on a named effect, or on several that these data do not distinguish."""
     count = 1 + len(step.equivalent)
     if count == 1:
         summary = registry()[step.added].summary.rstrip(".")
@@ -148,7 +148,7 @@ def _cause(step: Step) -> str:
 
 
 def _doubt(diagnosis: Diagnosis) -> str:
-    """A sentence on a first name that is likelier wrong than right; "" for one that is not."""
+    """A sentence on a first name that is more likely wrong than right; "" for one that is not."""
     confidence = diagnosis.choice.steps[0].confidence
     if confidence >= 0.5:
         return ""
@@ -156,7 +156,7 @@ def _doubt(diagnosis: Diagnosis) -> str:
 
 
 def unseen(held: HeldOut) -> str:
-    """What the held-out rows say: their lack of fit before and after, with 95 % intervals."""
+    """Result on the held-out rows: their lack of fit before and after, with 95 % intervals."""
     before, after = held.before.lack_of_fit_f, held.after.lack_of_fit_f
     if before is None or after is None or held.f_interval is None:
         return f"{held.rows} held-out rows"
@@ -168,7 +168,7 @@ def unseen(held: HeldOut) -> str:
 
 
 def region_lines(regions: Sequence[Region]) -> list[str]:
-    """Where the model is off, as a table: no line where it is off nowhere."""
+    """Regions with an error of the model as lines of a table; none if there is no such region."""
     if not regions:
         return []
     head = f"  {'plate angle, deg':>18}{'fill':>16}{'speed, rpm':>14}{'model - measurement, %':>25}{'p':>9}"
@@ -180,7 +180,7 @@ def region_lines(regions: Sequence[Region]) -> list[str]:
 
 
 def _range(limits: tuple[float, float], scale: float, digits: int) -> str:
-    """Both ends in the reader's unit, one number where they are the same to the digits shown."""
+    """Both ends in the reader's unit; one number if they are equal to the digits shown."""
     low, high = (f"{v * scale:.{digits}f}" for v in limits)
     return low if low == high else f"{low} to {high}"
 
@@ -222,7 +222,7 @@ def _load_label(fitted: Fit) -> str:
 
 
 def _after(diagnosis: Diagnosis) -> tuple[Fit, str]:
-    """The last model that pictures show, and what it has: what is named, else the leading candidates, else nothing."""
+    """The last model in the pictures, with the named effects, else the leading candidates, else none; and these effects."""
     if diagnosis.leading is not None:
         return diagnosis.leading, "With the leading candidates"
     return diagnosis.best, "With the named effects" if diagnosis.choice.named else "Published model"
@@ -335,7 +335,7 @@ def _misfit_table(diagnosis: Diagnosis) -> str:
         name = f"{diagnosis.fitted_rows}, fitted to them; after: with the leading candidates"
         rows.append((name, diagnosis.before, diagnosis.with_leading, None))
     if held is not None:
-        # Without a name they are judged by the published model alone: there is no after.
+        # Without a name only the published model applies: there is no result after.
         after = held.after if diagnosis.verdict == "effect" else None
         rows.append((f"{held.rows} held-out rows, model fitted to the others", held.before, after, held.f_interval))
     head = ("", "rms before", "rms after", "% of max before", "after", "F before", "F after")

@@ -1,8 +1,8 @@
-"""Whether a drift over a run, or an error between runs of different speeds, explains rows as well as an effect does.
+"""Test whether a drift over a run, or an error between runs of different speeds, explains rows as well as an effect does.
 
-Speeds that are run one after the other are confounded with time: a gain or zero that changes meanwhile is an effect of speed to
-such rows. So it is with loads and plate angles, but tables are commonly sorted by these, so that their order says less. (On
-designs whose run order guards against a drift: Box, Hunter and Hunter, Statistics for Experimenters, chapter 4.)
+If speeds are run one after the other, they are confounded with time, and a change of gain or zero looks like an effect of speed.
+The same holds for loads and plate angles, but tables are commonly sorted by these, so that their order is weaker evidence. (On
+run orders that are robust against drift: Box, Hunter and Hunter, Statistics for Experimenters, chapter 4.)
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ DRIFT = "a steady drift over the run"
 
 @dataclass(frozen=True, slots=True)
 class OfOrder:
-    """What the order of the rows explains best: `what`, and its -2 log evidence `merit`."""
+    """Best explanation by the order of the rows: `what`, and its -2 log evidence `merit`."""
 
     what: str
     merit: float
 
 
 def speeds_in_turn(rows: Rows) -> bool:
-    """Whether an elevator speed was returned to, so that it is not one with time; True for one speed, or an unknown order."""
+    """Whether an elevator speed was returned to, so that it is not confounded with time; True for one speed, or an unknown
+    order."""
     if rows.order is None:
         return True
     return _in_turn(cluster(np.log(rows.elevator_speed_rad_s), SAME_SPEED), rows.order)
@@ -56,15 +57,15 @@ def blocked_in_each_trial(rows: Rows) -> bool:
 
 
 def is_asked(rows: Rows) -> bool:
-    """Whether the order of rows can be an objection: times are stated, or speeds were run one after the other, once or in
-    each trial."""
+    """Whether the order of rows can be an objection: times are stated, or speeds were run one after the other, once or in each
+    trial."""
     return rows.order is not None and (rows.timed or not speeds_in_turn(rows) or blocked_in_each_trial(rows))
 
 
 def blocked_by(rows: Rows) -> str:
-    """Which of load and plate angle the rows lie by, three values or more, none returned to, in the words of a note; "" for none.
+    """Which of load and plate angle the rows are sorted by, with three values or more and none returned to, in words for a note.
 
-    "" too where the order is not known or `time_s` states it.
+    "" if there is none, the order is not known, or `time_s` states it.
     """
     if rows.order is None or rows.timed:
         return ""
@@ -83,16 +84,16 @@ def _in_turn(number: NDArray[np.int64], order: Array) -> bool:
 
 
 def drift(without: Fit, scale: float, per_parameter: float) -> OfOrder:
-    """The best drift over the rows' order, steady or with one bend, beside a model; the order must be known."""
+    """The best drift over the rows' order, linear or with one bend, in addition to a model; the order must be known."""
     shapes = [(DRIFT, _over_run(without.frame.cells, degree)) for degree in (1, 2)]
     return _best(without, shapes, scale, per_parameter)
 
 
 def of_order(without: Fit, scale: float, per_parameter: float) -> OfOrder | None:
-    """The best of these explanations beside a model, with gain, zero or both off.
+    """The best explanation by an error of gain, zero or both, in addition to a model.
 
-    A steady drift, or one that bends, over `time_s` or over rows whose speeds were run one after the other, once or in each
-    trial; one error for each speed that was never returned to. None where the rows can show neither.
+    The error is a drift, linear or with a bend, over `time_s` or over rows whose speeds were run one after the other, once or in
+    each trial; or one error for each speed that was never returned to. None if the rows can show neither.
     """
     cells = without.frame.cells
     if not is_asked(cells.rows):

@@ -1,7 +1,7 @@
-"""Which effects to name: forward steps with exchange, a global false-alarm rate, ties, and the verdict "unknown".
+"""Selection of effects: forward steps with exchange, a global false-alarm rate, ties, and the verdict "unknown".
 
-An effect is judged as a family of laws: what its own law may be off is integrated out (`Fit.shape_error`), beside the model's own
-error, so neither a tie nor a misfit rests on one way to write it.
+An effect is tested as a family of laws: errors of its law (`Fit.shape_error`) and the model error are integrated out, so that
+neither a tie nor a misfit depends on one particular law.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ from .pairs import screen
 from .policy import DEFAULT, Policy
 
 _DRAWS = 400
-"""Samples of the chosen model by which its stability is judged."""
+"""Number of random samples for the stability of the chosen model."""
 Progress = Callable[[str, float], None]
-"""Called with the step in progress and the share done, 0 to 1."""
+"""Called with the present step and the share that is done, 0 to 1."""
 Places = dict[str, tuple[Candidate, ...]]
-"""The candidates last seen in the place of each effect, beside the present others."""
+"""The last candidates for the place of each effect, given the other present ones."""
 
 
 def choose(
@@ -63,7 +63,7 @@ def choose(
 
 @dataclass(frozen=True)
 class Explanation:
-    """A fit with the step that added each of its effects, and the fits with effects that are tied with these."""
+    """A fit with the steps that added its effects, and the fits with effects tied with these."""
 
     fit: Fit
     steps: tuple[Step, ...]
@@ -77,13 +77,13 @@ class Search:
     Parameters
     ----------
     base
-        The published model, fitted.
+        The fitted published model.
     noise
-        Of the rows.
+        Noise of the rows.
     effects
         Names to choose from.
     rng
-        Of the Monte Carlo draws.
+        Generator for Monte Carlo.
     policy
         Thresholds.
     """
@@ -167,7 +167,7 @@ class Search:
     ) -> tuple[Candidate, ...]:
         """The `refits` most promising effects, refitted (also from `beside`, see `candidates.refit`), best first.
 
-        Each stands in its best law.
+        Each has its best law.
         """
         signatures = [signature(current, law) for law in lawful(effects)]
         p_value = false_alarm(signatures, current, self.noise, self.rng)
@@ -176,7 +176,7 @@ class Search:
         out = []
         for s, added in self._fitted(current, worth, beside):
             gain = current.chi2 - added.chi2
-            # A bound that the data do not refute is no evidence against the effect.
+            # Ending at a bound is no evidence against the effect unless the data contradict the bound.
             complete = lack_of_fit(added, self.noise).p_value >= self.policy.lack_of_fit_p
             refused = "" if complete else only_at_bound(added, s.effect, self.policy.bound_allowance)
             missed = grouped_error(added, groups)
@@ -197,7 +197,7 @@ class Search:
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
 
     def _by_family(self, scores: Iterable[Score]) -> list[list[Score]]:
-        """Scores of each effect's laws together, the most promising effect and law first; laws far behind are left out."""
+        """Scores grouped by effect, the most promising effect and law first; laws that are far worse are left out."""
         families: dict[str, list[Score]] = {}
         for s in sorted(scores, key=lambda s: -s.gain):
             families.setdefault(family_of(s.effect), []).append(s)
@@ -206,7 +206,7 @@ class Search:
     def _fitted(
         self, current: Fit, worth: Sequence[Sequence[Score]], beside: Mapping[str, float] | None
     ) -> list[tuple[Score, Fit]]:
-        """Each effect's refit by its best law; a law that a few steps leave far behind the best is not taken to the end."""
+        """Each effect's refit with its best law. The fit of a law that is far worse after a few steps is stopped."""
         short = self.policy.short_search
         begun: list[list[tuple[Score, Fit]]] = []
         for of_family in worth:
@@ -215,13 +215,13 @@ class Search:
         each = [f for laws in begun for _, f in laws]
         scale, least = misfit(each), min((f.chi2 for f in each), default=0.0)
         limit = least + self.policy.hopeless * scale + 0.25 * (current.chi2 - least)
-        # A few steps do not rank the laws of one effect: what leads after them may be behind at the end.
+        # A few steps are not enough to rank the laws of one effect.
         ended = [[(s, polished(f) if f.chi2 <= limit else f) for s, f in laws] for laws in begun if laws]
         dear = self.policy.per_parameter
         return [min(laws, key=lambda found: found[1].chi2 + dear * len(found[1].shapes)) for laws in ended]
 
     def admissible(self, found: Sequence[Candidate], current: Fit) -> list[Candidate]:
-        """Those that may be added to `current`: significant, large enough, predictive, within bounds."""
+        """Candidates that may be added to `current`: significant, large enough, predictive, within bounds."""
         groups = current.frame.cells.groups()
         before = float(np.mean(list(grouped_error(current, groups).values()) or [np.nan]))
         first, beside_one = not current.effects, second(current)
@@ -245,7 +245,7 @@ class Search:
     def _better_pair(
         self, looked_at: Sequence[Candidate], leader: str, forward: Fit
     ) -> tuple[list[str], list[Candidate], tuple[Candidate, ...]] | None:
-        """A pair better than `forward`, what the forward steps lead to: its first effect, its second, and all candidates beside
+        """A pair better than `forward`, the result of the forward steps: its first effect, its second, and all candidates given
         the first."""
         for alone, pair in self._pairs(looked_at, leader)[: self.policy.beam]:
             scale = misfit([pair, forward])
@@ -263,9 +263,9 @@ class Search:
         return None
 
     def _pairs(self, looked_at: Sequence[Candidate], leader: str) -> list[tuple[Candidate, Fit]]:
-        """All pairs without `leader`, which has been seen beside every other: screened, the best refitted, best first.
+        """Pairs without `leader`, which has been combined with all others already: screened, the best refitted, best first.
 
-        Each comes with the better of its two alone. Those that need a bound are left out.
+        Each is returned with the better of its two effects alone. Pairs that need a bound are left out.
         """
         alone = {c.effect: c for c in looked_at}
         stands_for = {family_of(e): e for e in alone}
@@ -288,7 +288,7 @@ class Search:
         return sorted(out, key=lambda found: merit(found[1], scale, self.policy))
 
     def _exchange(self, current: Fit, order: list[str], places: Places) -> tuple[Fit, list[str], Places]:
-        """Backward check: each effect in turn against every other in its place, until none is better."""
+        """Backward check: each effect in turn is compared with every other one in its place, until none is better."""
         for _ in range(2 * len(order)):
             open_places = [name for name in order if name not in places]
             if not open_places:
@@ -338,10 +338,10 @@ class Search:
         return tuple(steps), tuple(all_rivals)
 
     def prune_ambiguous(self, current: Fit, order: list[str], places: Places, p_any: float) -> Explanation:
-        """The fit and its steps, less the further effects that are no name, being tied with too many.
+        """The fit and its steps without further effects that are tied with too many others for a name.
 
-        None is left out whose absence the data refute, or which leaves the misfit unexplained, unless another shape of the first
-        one's law explains it.
+        An effect is kept if the data contradict its absence, or the misfit is unexplained without it, unless another shape of the
+        first one's law explains that misfit.
         """
         steps, rivals = self._steps(current, by_weight(current, order), places, p_any)
         while crowded := [s.added for s in steps[1:] if 1 + len(s.equivalent) > self.policy.largest_class]:
@@ -357,8 +357,8 @@ class Search:
         return Explanation(current, steps, rivals)
 
     def without_unneeded(self, current: Fit, p_any: float) -> Explanation | None:
-        """The fit and its steps without the effect that another law of the others serves best for; None where what is left is no
-        name, or where each effect is needed."""
+        """The fit and its steps without the effect that other laws of the others replace best; None if each effect is needed, or
+        there is an objection to naming the others."""
         each = needed(current, misfit([current]), self.policy.per_parameter)
         weakest = min(each, key=lambda one: one.evidence, default=None)
         if weakest is None or weakest.evidence >= self.policy.least_evidence:
@@ -372,7 +372,7 @@ class Search:
         return None if self.objections.first(fewer, steps) else Explanation(fewer, steps, rivals)
 
     def refined(self, found: Sequence[Candidate], name: str, current: Fit) -> tuple[Candidate, ...]:
-        """The candidates for the place of `name`; those that miss a tie by little are fitted from other starts."""
+        """The candidates for the place of `name`. Those that are nearly tied are fitted from other starts."""
         scale = misfit([current, *(c.fit for c in found if not c.refused)])
         limit = merit(current, scale, self.policy) + self.policy.tie
         out, tries = [], self.policy.nearest
@@ -388,7 +388,7 @@ class Search:
         return tuple(sorted(out, key=lambda c: merit(c.fit, scale, self.policy)))
 
     def _stability(self, chosen: Fit, rivals: Sequence[Fit], tied: Sequence[bool]) -> float:
-        """Share of samples of the chosen model, its errors drawn anew, in which it or one tied with it is still the best."""
+        """Share of samples of the chosen model with new random errors in which it, or one tied with it, is still the best."""
         if not rivals:
             return 1.0
         ratio = np.sqrt(max(chosen.integrated[0] / max(chosen.dof, 1), 1.0))

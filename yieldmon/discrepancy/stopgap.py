@@ -1,4 +1,4 @@
-"""A correction for a misfit that no effect explains: a stop-gap, labelled as one, that holds only where data were taken.
+"""An empirical correction (stop-gap) for a misfit that no effect explains. It only holds in the range of the data.
 
 Relative correction of the fitted model as a Gaussian process over plate angle and fill (and speed where it varied), after
 Kennedy and O'Hagan, "Bayesian calibration of computer models", J. R. Stat. Soc. B 63 (2001). Lengths by marginal likelihood.
@@ -21,7 +21,7 @@ _LENGTHS = (0.25, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class Correction:
-    """Measured over predicted, minus 1, as a smooth surface; points (cells, axes) scaled to about [-1, 1]."""
+    """Measured / predicted - 1 as a smooth surface; points (cells, axes) are scaled to about [-1, 1]."""
 
     axes: tuple[str, ...]
     centre: Array
@@ -31,7 +31,7 @@ class Correction:
     length: float
     size: float
     closed_pct: float
-    """Share of the excess mean square that it takes up on cells left out one at a time."""
+    """Share of the excess mean square that it explains on cells left out one at a time."""
 
     def at(self, plate_angle_rad: Array, fill: Array, elevator_speed_rad_s: Array) -> Array:
         """Correction at other conditions; 0 far from the data."""
@@ -41,7 +41,7 @@ class Correction:
 
 
 def correction(fit: Fit) -> Correction:
-    """Surface through what the fit leaves, shrunk by the noise."""
+    """Surface through the residuals of a fit, smoothed according to the noise."""
     cells = fit.frame.cells
     columns = {"plate_angle": cells.plate_angle_rad, "fill": fills(fit), "elevator_speed": cells.elevator_speed_rad_s}
     axes = tuple(name for name, v in columns.items() if np.ptp(v) > 1e-6 * np.max(np.abs(v)))

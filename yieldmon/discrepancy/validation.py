@@ -1,9 +1,9 @@
 """Validation of the named effects on rows that were not fitted; only confirmed effects are named.
 
-Along the line from the published model's prediction (share 0) to that with the named effects (share 1) the unseen readings lie at
-some share, with a standard deviation from noise and from the model's own error. Above one half the effects remove part of the
-misfit. The rows are those held out before the search, and the others, each left out in turn (cross-fitting; Chernozhukov et al.,
-Econometrics Journal 21, 2018).
+The readings are projected on the line from the published model's prediction (share 0) to that with the named effects (share 1).
+Their share has a standard deviation by noise and the model error. Above one half the effects reduce the misfit. The rows are
+those held out before the search, and the others with each one left out in turn (cross-fitting; Chernozhukov et al., Econometrics
+Journal 21, 2018).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from .fit import Fit
 
 FOLDS = 5
 _HELD_OUT = 1.282
-"""Standard deviations that the held-out rows alone must lie above a share of 0."""
+"""Least distance of the held-out rows alone from share 0, in standard deviations."""
 _REGION = 3.0
-"""Standard deviations below one half from which a region is worse than before."""
+"""Distance below one half, in standard deviations, from which a region is worse than before."""
 
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """Where unseen readings lie between two predictions, 0 to 1; power: sum of squares between the two."""
+    """Position of readings between two predictions, 0 to 1. power: sum of squares of the difference between the two."""
 
     value: float
     sd: float
@@ -40,8 +40,8 @@ class Share:
 class Validation:
     """Result on rows that were not fitted.
 
-    held_out: on the rows held out (None: none). cross_fitted: on all rows, each by a fit without it. worse: names
-    of regions that are worse with the effects. agrees: the verdict.
+    held_out: share on the held-out rows (None: there are none). cross_fitted: share on all rows, each with a fit without it.
+    worse: names of regions that are worse with the effects. agrees: whether the effects are confirmed.
     """
 
     held_out: Share | None
@@ -53,7 +53,7 @@ class Validation:
 def share(before: Array, after: Array, error: Array) -> Share:
     """Share from whitened residuals (prediction minus reading) of the two predictions, shape (rows,).
 
-    error: whitened columns of the model's own error with unit weights, shape (rows, columns).
+    error: whitened columns of the model error with unit weights, (rows, columns).
     """
     between = after - before
     power = float(between @ between)
@@ -65,7 +65,7 @@ def share(before: Array, after: Array, error: Array) -> Share:
 
 
 def pooled(parts: list[Share]) -> Share:
-    """The shares of independent rows together, by their power."""
+    """Mean share of independent groups of rows, weighted by their power."""
     power = sum(p.power for p in parts)
     if power <= 0.0:
         return Share(0.5, float("inf"), 0.0)
@@ -76,7 +76,7 @@ def pooled(parts: list[Share]) -> Share:
 
 
 def validate(base: Fit, best: Fit, held_out: Share | None, rng: np.random.Generator) -> Validation:
-    """Compare `best` with `base`; both fitted to the other rows."""
+    """Compare `best` with `base`, both fitted to the other rows."""
     cells = len(base.residual)
     fold = rng.permutation(np.arange(cells) % min(FOLDS, cells))
     before, after = (model_error.left_out(f.residual, f.tangent(), fold) for f in (base, best))

@@ -1,1 +1,1 @@
-"""Sweeps of many machines together: what all show is the model's, what one shows beside the others its own."""
+"""Joint diagnosis of the sweeps of many machines: errors common to all belong to the model, others to single machines."""

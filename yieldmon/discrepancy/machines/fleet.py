@@ -1,9 +1,10 @@
-"""What many machines' sweeps show together: what all show is the model's, what one shows beside the others its own.
+"""Joint diagnosis of many machines' sweeps: errors common to all belong to the model, others to single machines.
 
-A machine is compared with the others: its forces over theirs, at equal force at home, angle and speed. That needs no model, so
-that what the model lacks for all does not count against one. Machines that cut one crop share its grain; how much friction and
-density differ between them is estimated from them all (empirical Bayes), and is the prior of each machine's own. What an effect
-would show is the model's change by it, loads following, with grain free within that prior.
+A machine is compared with the others by the ratio of its forces to theirs, at equal force at home, angle and speed. No model is
+needed for this, so that an error of the model that is common to all is not attributed to one machine. Machines in the same crop
+have similar grain. The scatter of friction and density between them is estimated from all machines (empirical Bayes) and is the
+prior of each one. The change by an effect is computed with the model, with loads that depend on the parameters and grain free
+within that prior.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ from .single_cause import of_one_cause
 
 LEAST_MACHINES = 3
 _STATED = 1e6
-"""Degrees of freedom of a stated noise: it is known."""
+"""Degrees of freedom of a stated noise, which is assumed to be known."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """shared: what the model lacks for all; own: by machine; misfit: variance of the visits over what is stated."""
+    """shared: effects that the model lacks for all; own: effects of single machines; misfit: variance of the visits relative to
+    the stated one."""
 
     shared: Choice
     own: Mapping[str, Own]
@@ -47,14 +49,14 @@ class Found:
 
 
 def examine(lattice: Lattice, rng: np.random.Generator, policy: Policy) -> Found:
-    """What the machines of a lattice share, and what each has beside the others."""
+    """Find the effects common to the machines of a lattice, and those of single machines."""
     kept = np.ones(len(lattice.machines), dtype=bool)
     base = fit_base(_consensus(lattice, kept, 1.0))
     comparison = Comparison(lattice, base, rng, policy)
     kept = comparison.settled(kept)
     scale = comparison.state(kept).misfit
     shared = _shared(lattice, kept, scale, rng, policy)
-    # What describes the fleet best gives the shapes, named or not.
+    # The best description of the fleet determines the shapes, whether it is named or not.
     comparison = Comparison(lattice, shared.best, rng, policy)
     again = comparison.settled(kept)
     if not np.array_equal(again, kept):
@@ -76,21 +78,21 @@ def _shared(lattice: Lattice, kept: NDArray[np.bool_], misfit: float, rng: np.ra
 
 
 def _of_crop(frame: Frame, grain: Mapping[str, float]) -> Prior:
-    """What is known of the crop's grain before any sweep: about the parameters that the machines began with, as wide as for the
-    shipped crop (those of the others differ little)."""
+    """Prior of the crop's grain: about the parameters with which the machines started, with the standard deviations of the
+    shipped crop, which differ little between crops."""
     mean = {p.name: grain[p.name] for p in frame.base}
     return Prior.independent(mean, {"friction": crops()[SHIPPED_CROP].friction_sd, "density": DENSITY_SD * mean["density"]})
 
 
 def _consensus(lattice: Lattice, kept: NDArray[np.bool_], misfit: float) -> Frame:
-    """The lattice's frame with the mean force of the machines that are kept, in the cells that they measured."""
+    """The lattice's frame with the mean force of the kept machines, in the cells that they measured."""
     machines = [m for m, keep in zip(lattice.machines, kept, strict=True) if keep]
     frame = lattice.frame
     count = len(frame.cells)
     total, weight, spread = np.zeros(count), np.zeros(count), np.zeros(count)
     for m in machines:
         for first, factor in m.blocks:
-            # Visits of one sweep share the visits home that bracket them, and several of them may be of one cell.
+            # Visits of one sweep have the visits home around them in common, and several may belong to one cell.
             place = m.cell[first : first + len(factor)]
             covariance = np.linalg.inv(factor.T @ factor)
             w = 1.0 / np.diag(covariance)

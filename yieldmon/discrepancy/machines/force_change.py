@@ -1,4 +1,4 @@
-"""What an effect changes of the force in each cell, at several sizes of the effect."""
+"""Change of the force in each cell by an effect of several sizes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from yieldmon.physics.effects import family_of, get_effect
 from yieldmon.physics.numerics import Array, real
 
 SIZES = (0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)
-"""At which a change is drawn, in typical sizes from the null value."""
+"""Sizes at which a change is computed, in typical sizes from the null value."""
 _UNLIKELY = 2.0 * float(np.log(20.0))
-"""-2 log of the odds that one machine has an effect `of_grain` for itself."""
+"""-2 log of the prior odds that an effect `of_grain` occurs at one machine alone."""
 
 
 @dataclass(frozen=True)
 class ForceChange:
-    """What an effect changes of ln(force) in each cell, at several sizes: points (points, parameters), change (points, cells)."""
+    """Change of ln(force) in each cell by an effect at several points: points (points, parameters), change (points, cells)."""
 
     law: str
     parameters: tuple[Parameter, ...]
@@ -31,7 +31,7 @@ class ForceChange:
 
 @dataclass(frozen=True)
 class Guess:
-    """A point of a change, and the share of its distance from the null that fits best."""
+    """A point of a change, and the best-fitting share of its distance from the null value."""
 
     change: ForceChange
     point: int
@@ -39,18 +39,19 @@ class Guess:
 
     @property
     def values(self) -> dict[str, float]:
-        """Of the effect's parameters, within their bounds."""
+        """Values of the effect's parameters, within their bounds."""
         c = self.change
         moved = {p.name: p.start + self.share * (v - p.start) for p, v in zip(c.parameters, c.points[self.point], strict=True)}
         return {p.name: float(np.clip(moved[p.name], p.lower, p.upper)) for p in c.parameters}
 
     def surprise(self, length: float) -> float:
-        """-2 log of how likely it is beforehand.
+        """-2 log of its prior probability.
 
-        length: of its change, in standard deviations, from which the width of its likelihood over size. Sizes follow a Cauchy
-        distribution of the effect's prior width (Jeffreys), and the likelihood is integrated over them (Laplace): where little is
-        seen, effects that rarely do more come before those that mostly do a hundred times as much. Effects of grain are unlikely
-        at one machine.
+        Sizes have a Cauchy prior with the effect's prior width (Jeffreys), and the likelihood is integrated over them (Laplace).
+        So for a small change, an effect that is usually small is preferred to one that is usually a hundred times larger. Effects
+        of grain are unlikely at a single machine.
+
+        length: of its change, in standard deviations; it determines the width of the likelihood over the size.
         """
         cost = get_effect(family_of(self.change.law)).of_grain * _UNLIKELY
         for p, value in zip(self.change.parameters, self.change.points[self.point], strict=True):
@@ -65,10 +66,10 @@ class Guess:
 
 @dataclass(frozen=True)
 class Visible:
-    """The least distance from its null value at which an effect of one machine's own is found in 80 of 100 fleets; inf: at no
+    """Smallest distance from its null value at which an effect of a single machine is found in 80 of 100 fleets; inf if at no
     physical size.
 
-    parameter: the one that the effect is known by.
+    parameter: the leading parameter of the effect.
     """
 
     effect: str
@@ -78,7 +79,7 @@ class Visible:
 
 
 def force_change(known: Fit, law: str) -> ForceChange | None:
-    """A law's changes of a fitted model, from where that has its parameters; None where it has no prediction in any cell."""
+    """Changes of a fitted model by a law, starting at its present parameters; None if there is no prediction in any cell."""
     frame = known.frame
     at = dict(known.values)
     effects = known.effects if law in known.effects else (*known.effects, law)
@@ -104,16 +105,16 @@ def force_change(known: Fit, law: str) -> ForceChange | None:
 
 
 def visible_size(drawn: ForceChange, length: Array, needed: float) -> Visible:
-    """How large an effect must be to show.
+    """Smallest detectable size of an effect.
 
-    length: of its change at each of its points, in standard deviations, shape (points,). needed: the length that shows.
+    length: of its change at each of its points, in standard deviations, (points,). needed: the detectable length.
     """
     leading, rest = drawn.parameters[0], np.array([p.start for p in drawn.parameters[1:]])
     alone = np.all(drawn.points[:, 1:] == rest, axis=1) & (length > 1e-6)
     step = np.abs(drawn.points[alone, 0] - leading.start)
     size = float("inf")
     if step.size:
-        # A change bends with size: the point nearest to its own answer counts.
+        # A change is nonlinear in size: the point nearest to its own result is used.
         answers = step * needed / length[alone]
         size = float(answers[np.argmin(np.abs(np.log(answers / step)))])
     physical = size <= max(leading.upper - leading.start, leading.start - leading.lower)

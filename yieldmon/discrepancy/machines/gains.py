@@ -1,4 +1,4 @@
-"""Gains in chi-square: of a change against what is noise or anybody's, and the largest one that chance gives."""
+"""Gains in chi-square by a change beyond noise and common errors, and the distribution of the largest gain by chance."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Residual:
 
     @cached_property
     def inner(self) -> Array:
-        """(1 + C'C)^-1, of Woodbury's inverse."""
+        """(1 + C'C)^-1 of Woodbury's formula."""
         return np.asarray(np.linalg.inv(np.eye(self.columns.shape[1]) + self.columns.T @ self.columns))
 
     def length(self, change: Array) -> float:
-        """Of a change beside the columns, in standard deviations."""
+        """Length of a change beyond the columns, in standard deviations."""
         inside = self.columns.T @ change
         return float(np.sqrt(np.maximum(change @ change - inside @ self.inner @ inside, 0.0)))
 
     def without(self, change: Array, error: Array) -> tuple[float, float]:
-        """Chi-square less a change whose law may be off by columns of error, and the log determinant that those add."""
+        """Chi-square after a change whose law has errors along some columns, and the log determinant that these add."""
         left = np.concatenate(((self.residual - change)[:, None], error), axis=1)
         inside = self.columns.T @ left
         gram = left.T @ left - inside.T @ self.inner @ inside
@@ -40,12 +40,13 @@ class Residual:
 
 @dataclass(frozen=True)
 class LargestGains:
-    """Largest gains of alike machines, ascending; beyond what was drawn, the tail of chi-square with one degree of freedom."""
+    """Largest gains of equal machines, ascending; beyond the random sample the tail of chi-square with one degree of freedom is
+    used."""
 
     largest: Array
 
     def p_value(self, gain: float) -> float:
-        """Probability of so large a gain at a machine like the others."""
+        """Probability of such a large gain at a machine equal to the others."""
         drawn = len(self.largest)
         joint = self.largest[int(0.95 * drawn)]
         if gain <= joint:

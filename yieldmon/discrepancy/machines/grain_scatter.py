@@ -1,4 +1,4 @@
-"""How much the grain of one crop differs between machines, estimated from all of them (empirical Bayes)."""
+"""Scatter of the grain of one crop between machines, estimated from all machines (empirical Bayes)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from yieldmon.physics.numerics import Array
 
 GRAIN_SD = 0.1
-"""In steps that matter (`physics.grain`): scale of how far grain of a crop differs between machines, before it is estimated."""
+"""Prior scale of the scatter of grain between machines, in units of relevant steps (`physics.grain`)."""
 _GRID = np.concatenate(([0.0], np.geomspace(0.01, 4.0, 40)))
 _SWEEPS = 3
 
 
 def grain_scatter(information: Array, score: Array) -> Array:
-    """Variances of grain between machines, (parameters,): posterior means, one parameter after the other.
+    """Posterior means of the variances of grain between machines, (parameters,), estimated one parameter after the other.
 
-    information: of each machine about its grain, (machines, parameters, parameters). score: (machines, parameters).
+    information: of each machine on its grain, (machines, parameters, parameters). score: (machines, parameters).
     """
     count = score.shape[-1]
     variance = np.full(count, GRAIN_SD**2)

@@ -1,7 +1,7 @@
 """Sweeps of many machines on one lattice of angle, speed and load, where they can be compared.
 
-A load is known by the force at home. Machines whose tickets differ in gain are brought to one gain; what then differs at equal
-force at home, angle and speed is the machines' own.
+A load is identified by the force at home. Forces of machines with different gains, known from tickets, are converted to one gain.
+Remaining differences at equal force at home, angle and speed are those of the machines.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array, real
 
 _ERROR = 0.01
-"""Relative sd of a cell about which nothing is said."""
+"""Relative standard deviation of a cell without information."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """One machine's visits on the lattice: ln(force) carried to the cell, and the cell's number, (visits,); of whole sweeps.
+    """One machine's visits on the lattice, from complete sweeps: ln(force) converted to the cell, and the cell's number,
+    (visits,).
 
-    whiten: block by block, (first visit, inverse Cholesky factor).
+    whiten: blocks of (first visit, inverse Cholesky factor).
     """
 
     name: str
@@ -39,14 +40,17 @@ class Placed:
     blocks: tuple[tuple[int, Array], ...]
 
     def whitened(self, values: Array) -> Array:
-        """Of visits, (visits,) or (visits, columns)."""
+        """Whitened columns of visits, (visits,) or (visits, columns)."""
         return np.concatenate([factor @ values[first : first + len(factor)] for first, factor in self.blocks])
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Machines on one lattice; frame: its cells with the model in question, loads following the parameters; the values are no
-    measurement yet. grain: the parameters that the model began with."""
+    """Machines on one lattice.
+
+    frame: its cells with the model, with loads that depend on the parameters; the cells' values are not yet measurements. grain:
+    initial parameters of the model.
+    """
 
     frame: Frame
     machines: tuple[Placed, ...]
@@ -54,7 +58,7 @@ class Lattice:
 
 
 def reference_force_n(model: ForwardModel, parameters: ParameterSet, flow_kg_s: float, moisture_pct: float) -> float:
-    """Force at home, at the nominal speed, by which machines' gains are compared."""
+    """Force at home and nominal speed, with which gains of machines are compared."""
     at = Conditions(
         model.machine.home_plate_angle_rad, model.machine.nominal_elevator_speed_rad_s, mass_flow_kg_s=flow_kg_s,
         moisture_pct=moisture_pct,
@@ -65,7 +69,7 @@ def reference_force_n(model: ForwardModel, parameters: ParameterSet, flow_kg_s: 
 def with_force(
     model: ForwardModel, parameters: ParameterSet, force_n: float, flow_kg_s: float, moisture_pct: float
 ) -> ParameterSet:
-    """The parameters with the restitution that gives a force at home at that flow."""
+    """The parameters with the restitution that gives the force at home at a flow."""
     values = dict(parameters.values)
     for _ in range(3):
         here = reference_force_n(model, replace(parameters, values=values), flow_kg_s, moisture_pct)
@@ -78,7 +82,7 @@ def with_force(
 def lay(
     machine: Machine, parameters: ParameterSet, reference_kg_s: float, sweeps: Sequence[tuple[str, Sequence[AwayVisits]]]
 ) -> Lattice:
-    """The lattice of machines of one geometry whose forces are of one gain, that of `parameters`, which also made the flows."""
+    """Build the lattice of machines of one geometry. Forces have the gain of `parameters`, with which flows were measured."""
     model = ForwardModel(machine, parameters.effects)
     every = [sweep for _, of_machine in sweeps for sweep in of_machine]
     angle, speed, flow = (
@@ -98,7 +102,7 @@ def lay(
         where = Conditions(angle, speed, mass_flow_kg_s=flow, moisture_pct=moisture)
         return real(np.asarray(model.force(where, parameters.values, overfull="nan")))
 
-    # Beyond the model's full paddle its slope is no help; force goes about as flow and speed.
+    # Beyond a full paddle the model has no slope; the force is about proportional to flow and speed.
     with np.errstate(invalid="ignore", divide="ignore"):
         here = force(angle, speed, flow, moisture)
         ratio = force(*near) / here
@@ -106,7 +110,7 @@ def lay(
     power = np.where(np.isfinite(power), power, 1.0)
     carried = np.where(np.isfinite(ratio) & (ratio > 0.0), ratio, near[2] * near[1] / (flow * speed))
     log_force = np.log(np.concatenate([s.force_n for s in every]) * carried)
-    # What the model gives there stands in for a measurement, so that no cell is empty.
+    # The model's value replaces a measurement, so that no cell is empty.
     shown = force(*(values[first] for values in near))
     level = np.where(np.isfinite(shown), shown, np.bincount(cell, np.exp(log_force)) / np.bincount(cell))
     rows = Rows(
@@ -136,7 +140,7 @@ def lay(
 def _placed(
     sweeps: Sequence[tuple[str, Sequence[AwayVisits]]], log_force: Array, power: Array, cell: NDArray[np.int64]
 ) -> tuple[Placed, ...]:
-    """The machines, of what all visits have in their order; power: of the force by the flow."""
+    """The machines, from columns of all visits in order. power: d ln(force) / d ln(flow)."""
     placed, at = [], 0
     for name, of_machine in sweeps:
         blocks, start = [], at

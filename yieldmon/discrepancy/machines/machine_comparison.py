@@ -1,4 +1,4 @@
-"""Machines against each other: each one's forces over those of the others, at equal force at home, angle and speed."""
+"""Comparison of machines: ratio of each one's forces to those of the others, at equal force at home, angle and speed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .grain_scatter import GRAIN_SD, grain_scatter
 from .lattice import Lattice
 
 _SURFACE = (3, 2)
-"""Degrees in load and speed, at each angle by itself, of what all machines may show beside the model."""
+"""Degrees in load and speed, separately at each angle, of errors of the model common to all machines."""
 _SURFACE_SD = 0.1
 _DRAWS = 2000
 _SHORTLIST, _POINTS = 24, 3
@@ -34,7 +34,7 @@ _STATE_STEPS = 3
 
 @dataclass(frozen=True)
 class Explanation:
-    """An effect that explains a machine: by which law, its values, and -2 log evidence by which the best one is better."""
+    """An effect that explains a machine: its law, its values, and the difference of -2 log evidence to the best one."""
 
     effect: str
     law: str
@@ -44,8 +44,8 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Own:
-    """What a machine shows beside the others. p_value: of its best explanation when all machines are alike, over all effects and
-    all machines; best first; gain: in chi-square."""
+    """Difference of a machine from the others. Explanations: best first. p_value: of the best one if all machines are equal,
+    corrected for all effects and machines. gain: in chi-square."""
 
     p_value: float
     gain: float
@@ -54,7 +54,7 @@ class Own:
 
 @dataclass(frozen=True)
 class State:
-    """Of a set of machines that are kept: variances of grain between machines, as the others of each show them, (machines,
+    """State of a set of kept machines: variances of grain between machines, estimated for each one from the others, (machines,
     parameters), and misfit."""
 
     kept: NDArray[np.bool_]
@@ -63,7 +63,7 @@ class State:
 
 
 class Comparison:
-    """Machines against each other, with a model for the shape of effects."""
+    """Comparison of machines with each other, with a model for the shape of effects."""
 
     def __init__(self, lattice: Lattice, known: Fit, rng: np.random.Generator, policy: Policy) -> None:
         self._machines = lattice.machines
@@ -86,7 +86,7 @@ class Comparison:
 
     @cached_property
     def _changes(self) -> tuple[ForceChange, ...]:
-        """Of every law of every effect that one machine may have, more or less of the shared ones included."""
+        """Changes by every law of every effect that a single machine may have, including more or less of the shared ones."""
         return tuple(s for s in (force_change(self._known, law) for law in self._laws()) if s is not None)
 
     def _laws(self) -> tuple[str, ...]:
@@ -95,11 +95,12 @@ class Comparison:
         return (*self._known.effects, *lawful(e for e in library(frame) if e not in others))
 
     def settled(self, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which machines are like the others.
+        """Which machines are equal to the others.
 
-        Backward first: the one that differs most is left out until none does. What is left may still hide machines that pass as
-        scatter of grain because they made that scatter wide; so the more alike half then judges all others, with the scatter
-        that it shows, and those that it takes in judge with it until no more change (forward search, Atkinson and Riani 2000).
+        First a backward search: the machine that differs most is left out, until none differs. The remaining machines may still
+        contain some that look like scatter of grain because they made the estimated scatter large. Therefore a forward search
+        (Atkinson and Riani 2000) follows: the more similar half, with its own scatter, is used to test all others, and accepted
+        machines are added until nothing changes.
         """
         return self._grown(self._without_outlying(kept))
 
@@ -134,7 +135,7 @@ class Comparison:
             like = gains <= limit
 
     def _largest(self, kept: NDArray[np.bool_]) -> tuple[Array, float]:
-        """Each machine's largest gain against the kept ones, and the limit of machines like them."""
+        """Each machine's largest gain relative to the kept ones, and the limit for machines equal to them."""
         state = self.state(kept)
         gains = np.array([float(self._gains(i, state)[0].max()) for i in range(len(kept))])
         return gains, self.tail(state).limit(self._policy.next_p / len(kept))
@@ -163,7 +164,8 @@ class Comparison:
         return state
 
     def _against(self, i: int, state: State) -> tuple[Array, Array, Array]:
-        """Machine i against the other kept ones: residual, columns of the others' mean (unit weights), and of grain's slope."""
+        """Machine i relative to the other kept ones: residual, columns of the others' mean (unit weights), and derivatives by
+        grain."""
         count = self._surface.shape[1]
         normal, right = np.eye(count) / _SURFACE_SD**2, np.zeros(count)
         for k in np.flatnonzero(state.kept):
@@ -182,7 +184,7 @@ class Comparison:
 
     @cached_property
     def _drawn(self) -> list[Array]:
-        """Changes by all effects' points at each machine's visits, whitened, (visits, points)."""
+        """Whitened changes at each machine's visits for all points of all effects, (visits, points)."""
         change = np.concatenate([s.change for s in self._changes])
         return [m.whitened(change[:, m.cell].T) for m in self._machines]
 
@@ -191,16 +193,16 @@ class Comparison:
         return Residual(z, np.concatenate((b, j * np.sqrt(state.grain[i])), axis=1))
 
     def _gains(self, i: int, state: State) -> tuple[Array, Array]:
-        """Gain in chi-square at each of the effects' points, and the share of its size at which it is had."""
+        """Gain in chi-square at each point of the effects, and the share of the point's size that gives it."""
         judge, drawn = self._judge(i, state), self._drawn[i] / np.sqrt(state.misfit)
         away = drawn - judge.columns @ (judge.inner @ (judge.columns.T @ drawn))
         norm2, along = np.einsum("ij,ij->j", away, drawn), away.T @ judge.residual
-        # A change bends with size; beyond a quarter more than its own the next point counts.
+        # A change is nonlinear in size; beyond 1.25 times its own size the next point is used.
         share = np.clip(np.divide(along, norm2, out=np.zeros(along.shape), where=norm2 > 1e-12), 0.0, 1.25)
         return 2.0 * share * along - share**2 * norm2, share
 
     def tail(self, state: State) -> LargestGains:
-        """Largest gains of a machine like the others, by the visits of the first that is kept."""
+        """Largest gains of a machine equal to the others, with the visits of the first kept one."""
         i = int(np.flatnonzero(state.kept)[0])
         judge, drawn = self._judge(i, state), self._drawn[i] / np.sqrt(state.misfit)
         gram = drawn.T @ drawn
@@ -214,7 +216,7 @@ class Comparison:
         return LargestGains(np.sort(np.max(np.maximum(draws, 0.0), axis=0) ** 2))
 
     def visible_from(self, state: State, tail: LargestGains) -> tuple[Visible, ...]:
-        """From what size each effect shows at a machine of median sweeps."""
+        """Smallest detectable size of each effect at a machine with median sweeps."""
         needed = np.sqrt(tail.limit(self._policy.next_p / len(self._machines))) + POWER_80
         lengths = []
         for i in np.flatnonzero(state.kept).tolist():
@@ -226,13 +228,13 @@ class Comparison:
         for s in self._changes:
             one = visible_size(s, length[first : first + len(s.points)], needed)
             first += len(s.points)
-            # The effect's own law where that shows at all: sizes of different laws do not compare.
+            # The effect's own law if it is detectable, since sizes of different laws are not comparable.
             if not np.isfinite(found.get(one.effect, one).size) or one.effect not in found:
                 found[one.effect] = one
         return tuple(sorted(found.values(), key=lambda v: v.effect))
 
     def own(self, i: int, state: State, tail: LargestGains) -> Own:
-        """What a machine shows beside the others."""
+        """Difference of a machine from the others, with its explanations."""
         gains, share = self._gains(i, state)
         best = float(gains.max())
         ends = np.cumsum([len(s.points) for s in self._changes])
@@ -247,7 +249,7 @@ class Comparison:
         return Own(min(1.0, len(self._machines) * tail.p_value(best)), best, self._explained(i, state, found))
 
     def _explained(self, i: int, state: State, found: Sequence[Guess]) -> tuple[Explanation, ...]:
-        """-2 log evidence of guesses, over sizes and with each effect's law off by `LAW_SD`; each family by its best."""
+        """-2 log evidence of guesses, integrated over sizes and errors `LAW_SD` of the laws; the best law of each effect."""
         judge, placed = self._judge(i, state), self._machines[i]
         smooth = self._smooth[placed.cell]
         judged = []
@@ -271,7 +273,7 @@ class Comparison:
 
 
 def _surface(frame: Frame) -> Array:
-    """Columns of what all machines may show beside the model: a polynomial in load and speed at each angle, (cells, columns)."""
+    """Columns of model errors common to all machines: a polynomial in load and speed at each angle, (cells, columns)."""
     grid = frame.cells
     axes = []
     for values, degree in ((np.log(grid.load), _SURFACE[0]), (np.log(grid.elevator_speed_rad_s), _SURFACE[1])):

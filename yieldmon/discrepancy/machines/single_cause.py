@@ -1,9 +1,9 @@
-"""One effect alone as the cause of what many machines' mean shows.
+"""A single effect as the cause of the error common to many machines.
 
-The mean of a fleet is known to a few tenths of a percent, to which no model is true. The forward search tests gains with what
-laws may be off, so it takes what the model's own error makes of such a mean for further effects, or is left with a misfit. Here
-each effect is asked alone, in every law, by evidence with both errors integrated out and with what is known of the crop's grain
-beforehand (`Frame.prior`): an effect that needs a friction or density which the crop does not have explains less.
+The mean of a fleet has an uncertainty of a few tenths of a percent, which is less than the error of any model. The forward search
+only includes errors of laws in its tests, so it attributes the model error in such a mean to further effects, or leaves a misfit.
+Here each effect is tested alone, with every law, by its evidence with both errors integrated out and with the prior of the crop's
+grain (`Frame.prior`). An effect that needs a friction or density that the crop does not have is then a poor explanation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from yieldmon.physics.effects import family_of
 
 @dataclass(frozen=True)
 class _Alone:
-    """An effect alone, in the law with most evidence. merit: -2 log of that."""
+    """A single effect with the law of the largest evidence. merit: -2 log of the evidence."""
 
     law: str
     fit: Fit
@@ -44,14 +44,14 @@ class _Alone:
 def of_one_cause(
     found: Choice, frame: Frame, noise: Noise, effects: tuple[str, ...], rng: np.random.Generator, policy: Policy
 ) -> Choice:
-    """What a search found, or the one effect that explains the cells by itself.
+    """The result of a search, or the single effect that explains the cells.
 
     Parameters
     ----------
     found : Choice
-        Of the forward search. Stands where it is one effect or none; where the one effect is none of those that it found, unless
-        the evidence for it before every other one is very strong; and where each of several effects is a name and the evidence
-        for them beside one is very strong.
+        Result of the forward search. It is kept in three cases: it has one effect or none; the single effect is not among those
+        found, unless its evidence relative to every other one is very strong; or each of the found effects is a name and the
+        evidence for them against a single one is very strong.
     frame : Frame
         The cells, with the prior of the crop's grain.
     noise : Noise
@@ -82,7 +82,7 @@ def of_one_cause(
     agrees = far_ahead or any(best.effect in (step.added, *step.equivalent) for step in found.steps)
     test = _beyond_errors(best.fit, noise)
     if far_ahead and test.p_value < policy.lack_of_fit_p:
-        # Beside rivals that are far behind, what the model's own error makes in the mean is no part of the misfit.
+        # If all rivals are far worse, the mean chi-square by the model error is not counted in the misfit.
         test = lack_of_fit(best.fit, noise, beside=best.fit.error)
     clear = p_any < policy.first_p and test.p_value >= policy.lack_of_fit_p and 1 + len(tied) <= policy.largest_class
     if (
@@ -98,7 +98,7 @@ def of_one_cause(
 
 
 def _alone(base: Fit, effects: tuple[str, ...], policy: Policy) -> Iterator[_Alone]:
-    """Each effect that can be fitted, in the law that has most evidence."""
+    """Each effect that can be fitted, with the law of the largest evidence."""
     for effect in effects:
         laws = []
         for law in lawful((effect,)):
@@ -111,7 +111,7 @@ def _alone(base: Fit, effects: tuple[str, ...], policy: Policy) -> Iterator[_Alo
 
 
 def _beyond_errors(found: Fit, noise: Noise) -> LackOfFit:
-    """What is left beyond the noise with the model's own error and what laws may be off integrated out, which leaves a chi-square
+    """Misfit beyond the noise with the model error and errors of the laws integrated out, which has a chi-square distribution
     with the fit's degrees of freedom."""
     f = found.integrated[0] / found.dof
     return LackOfFit(f, float(scipy.stats.f.sf(f, found.dof, noise.dof)))
