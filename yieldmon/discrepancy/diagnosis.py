@@ -35,7 +35,7 @@ __all__ = ["Diagnosis", "Examination", "HeldOut", "Measure", "Options", "conclud
 def diagnose(
     table: Table, machine: Machine, parameters: ParameterSet, options: Options = DEFAULT, progress: Progress | None = None
 ) -> Diagnosis:
-    """Find the effects that a model lacks, from one table.
+    """Find the effects that a model lacks.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def _of_others() -> dict[str, Effect]:
 
 @lru_cache(maxsize=1)
 def registry() -> MappingProxyType[str, Effect]:
-    """All effects by name, in alphabetical order, with those of other packages (entry points of the group `yieldmon.effects`).
+    """All effects by name, in alphabetical order, including those of other packages.
 
     Returns
     -------
