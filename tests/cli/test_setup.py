@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.file_limit import files_end_at
 from tests.schema_check import problems
 from yieldmon.cli._setup.questions import QUESTIONS
 from yieldmon.cli.main import main
@@ -70,6 +71,18 @@ def test_answers_become_a_configuration_that_the_daemon_takes(tmp_path, capsys):
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json"]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["setup", "--answers", answers(tmp_path), "--out", str(tmp_path / "new"), "--json", "--force"]) == 0
+
+
+def test_a_set_up_that_cannot_be_written_leaves_the_earlier_one(tmp_path, capsys):
+    """It left new parameters beside the machine file of before."""
+    out = tmp_path / "a"
+    assert main(["setup", "--answers", answers(tmp_path), "--out", str(out)]) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    path = answers(tmp_path, plate_reported_deg=[44, 84])
+    with files_end_at(len(before["wheat.yaml"]) + 50):
+        assert main(["setup", "--answers", path, "--out", str(out), "--force"]) == 1
+    assert f"{out / 'setup-record.yaml'}: " in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
 
 def test_a_parameter_file_copied_from_another_machine_is_named(tmp_path, capsys):

@@ -158,10 +158,12 @@ def write(answers: dict[str, Any], folder: Path, *, force: bool) -> SetupDocumen
         config["plate"] = {"fixed_angle_deg": fixed_deg}
     angles = _sweep_angles(answers)
     config["sweep"] = {"angles_deg": angles} if angles else {"enabled": False}
-    parameter_file.save(parameters, folder / names["parameters"])
     # The configuration last: it never names a file that is not there yet.
-    for name, content in ((MACHINE, machine_file.to_document(machine)), (RECORD, found), (CONFIGURATION, config)):
-        whole_file.write(folder / name, strict_yaml.dump(content), durable=True, mode=READABLE)
+    order = (names["parameters"], MACHINE, RECORD, CONFIGURATION)
+    with whole_file.scratch_folder_for(folder, order, mode=READABLE) as scratch:
+        parameter_file.save(parameters, scratch / names["parameters"])
+        for name, content in ((MACHINE, machine_file.to_document(machine)), (RECORD, found), (CONFIGURATION, config)):
+            whole_file.write(scratch / name, strict_yaml.dump(content), durable=True)
     configuration.load(folder / CONFIGURATION)
     return {
         **found,

@@ -6,7 +6,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from itertools import count
@@ -104,19 +104,23 @@ def scratch_for(path: str | Path, *, durable: bool = False, mode: int | None = N
 
 
 @contextmanager
-def scratch_folder_for(folder: Path, names: Collection[str]) -> Iterator[Path]:
+def scratch_folder_for(folder: Path, names: Iterable[str], *, mode: int | None = None) -> Iterator[Path]:
     """A folder to write several files to, inside one that exists; they take their names in that one at the end, and none does
-    when something fails. names: those that may be written. An OSError names the file in `folder`."""
+    when something fails. names: those that may be written, in the order in which they take them. mode: as in `scratch_for`. An
+    OSError names the file in `folder`."""
+    names = list(names)
     first = folder / min(names)
     remove_abandoned(first, names)
     scratch = _private_folder(first, folder)
     try:
         with held(scratch):
             yield scratch
-            for path in sorted(scratch.iterdir()):
+            for path in sorted(scratch.iterdir(), key=lambda path: names.index(path.name)):
                 target = real_path(folder / path.name)
                 check_place(target)
-                if target.exists():
+                if mode is not None:
+                    path.chmod(mode)
+                elif target.exists():
                     path.chmod(stat.S_IMODE(target.stat().st_mode))
                 path.replace(target)
     except OSError as error:
