@@ -92,7 +92,8 @@ def _proportional(problem: LoadProblem) -> Array | None:
     nominal speed, by least squares; None if too few of the loads fit on a paddle."""
     machine, start = problem.model.machine, problem.start
     loads_kg = _LOADS * reference_load_kg(machine)
-    moisture = None if problem.moisture is None else np.full(loads_kg.shape, np.mean(problem.moisture))
+    measured_pct = problem.windows.moisture_pct
+    moisture = None if measured_pct is None else np.full(loads_kg.shape, np.mean(measured_pct))
     at = Conditions(
         np.full(loads_kg.shape, machine.home_plate_angle_rad),
         np.full(loads_kg.shape, machine.nominal_elevator_speed_rad_s),

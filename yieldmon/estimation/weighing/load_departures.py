@@ -35,7 +35,7 @@ def departures(
 ) -> tuple[Array, Array]:
     """`departure` of several loads: errors (n,) and standard deviations (n,). Moisture must be known of all loads or of none."""
     problem = _measured(model, known, loads, settings)
-    return np.expm1(_ln_errors(problem)), np.hypot(problem.spreads(known), problem.sd)
+    return np.expm1(_ln_errors(problem)), np.hypot(problem.spreads(known), problem.errors.sd)
 
 
 def errors_of(

@@ -17,15 +17,15 @@ from yieldmon.estimation.open_loop import invert_force, inverted
 from yieldmon.estimation.other_monitor import with_bias, with_new_bias
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.recent import Recent
-from yieldmon.estimation.self_calibration.closed_loop_inputs import joined
 from yieldmon.physics.effects.other_monitor import BIAS
-from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.physics.throw import Throw
 
 from .density_and_gain import DENSITY, gain_names, moved, shifted
 from .load_inputs import LoadSettings, WeighedLoad
+from .load_windows import LoadWindows
+from .mass_errors import MassErrors
 
 _ITERATIONS = 12
 _SETTLED = 1e-5
@@ -75,7 +75,28 @@ class LeftOut:
 
 
 class LoadProblem:
-    """One calibration by loads; coordinates are ln density and ln gain relative to `start`."""
+    """One calibration by loads; coordinates are ln density and ln gain relative to `start`.
+
+    Attributes
+    ----------
+    model : ForwardModel
+    given, start : ParameterSet
+        The parameters to calibrate, and those with the prior of the calibration.
+    loads : tuple of WeighedLoad (n,)
+    weighed : ndarray (n,)
+        Weighed masses, kg.
+    windows : LoadWindows
+        The windows of all loads.
+    errors : MassErrors
+        Errors of measured and weighed masses apart from the parameters'.
+    settings : LoadSettings
+    beside : tuple of str
+        Parameters that are neither fitted here nor held, because the caller fits them.
+    held : tuple of str
+        Parameters that keep their values but whose uncertainty counts.
+    prior : ndarray
+        Covariance of (held..., ln density, ln gain).
+    """
 
     def __init__(
         self,
@@ -86,30 +107,14 @@ class LoadProblem:
         settings: LoadSettings,
         beside: tuple[str, ...] = (),
     ) -> None:
-        """beside: parameters that are neither fitted here nor held, because the caller fits them."""
         self.beside = beside
         self.model = following(model, start)
         self.loads, self.settings = tuple(loads), settings
         shared = any(load.common_kg > 0.0 for load in loads)
         self.given, self.start = (with_bias(given), with_new_bias(start)) if shared else (given, start)
-        self.own = np.array([load.measured_sd(settings.load_error) for load in loads])
-        """(n,) relative standard deviation of each measured mass, given the true parameters."""
-        self.sd = np.hypot([load.relative_sd for load in loads], self.own)
-        self.common = np.array([load.common_kg / load.weighed_kg for load in loads])
-        """(n,) the part of `sd` that comes from another combine's monitor, whose error is common to all loads."""
-        self.apart = np.where(self.common > 0.0, np.sqrt(np.maximum(self.sd**2 - self.common**2, 0.0)), self.sd)
-        """(n,) the rest of `sd`, independent between loads."""
-        self.duration, self.force, self.angle, self.speed = joined(loads)
-        self.moist = np.zeros(len(loads)) if self.model.needs_moisture else _by_moisture(loads)
-        """(n,) one standard deviation of the error that is proportional to the moisture's deviation from the loads' mean, where
-        the model does not contain moisture."""
-        self.shared = np.column_stack((self.common, self.moist))
-        known = all(load.moisture_pct is not None for load in loads)
-        self.moisture = np.concatenate([np.asarray(load.moisture_pct) for load in loads]) if known else None
-        self.of_load = np.repeat(np.arange(len(loads)), [load.force_n.size for load in loads])
+        self.windows = LoadWindows.of(loads)
         self.weighed = np.array([load.weighed_kg for load in loads])
-        self.law = self._law()
-        """(n, n) covariance of the loads' ln errors from the model's curve of force, another combine's monitor and moisture."""
+        self.errors = MassErrors.of(loads, settings, moisture_in_model=self.model.needs_moisture)
         self.held, self.prior = self._coordinates()
         self._throw: Throw | None = None
         """The last throw, from which the next one is computed faster."""
@@ -128,30 +133,23 @@ class LoadProblem:
         scale = np.array([1.0] * len(held) + list(size))
         return held, known.covariance_of(names) / np.outer(scale, scale)
 
-    def _law(self) -> Array:
-        at = np.log(self.weighed / [load.duration_s.sum() for load in self.loads])
-        apart = (at[:, None] - at) / self.settings.law_reach
-        return np.asarray(self.settings.law_error**2 * np.exp(-0.5 * apart**2) + self.shared @ self.shared.T)
-
     def flow(self, known: ParameterSet) -> tuple[Array, Array]:
         """Mass flow of every window with these parameters (nan above a full paddle), and d(force)/d(flow) there."""
         return self._flows.of(tuple(known.values.items()), lambda: self._inverted(known))
 
     def _inverted(self, known: ParameterSet) -> tuple[Array, Array]:
+        force, angle, speed = self.windows.force_n, self.windows.plate_angle_rad, self.windows.elevator_speed_rad_s
+        moisture = self.windows.moisture_pct
         if known is self.start:
             # The set is in use, so its load curve is already cached.
-            return inverted(self.model, known.values, self.force, self.angle, self.speed, self.moisture)
-        moisture = None if self.moisture is None else self.moisture[:, None]
-        self._throw = self.model.throw(self.angle[:, None], self.speed[:, None], known.values, moisture, like=self._throw)
-        return invert_force(self._throw, self.force)
-
-    def total(self, flow: Array) -> Array:
-        """Mass of each load from a flow of each window, kg, (n,)."""
-        return np.asarray(np.bincount(self.of_load, self.duration * flow, minlength=len(self.loads)), dtype=float)
+            return inverted(self.model, known.values, force, angle, speed, moisture)
+        column = None if moisture is None else moisture[:, None]
+        self._throw = self.model.throw(angle[:, None], speed[:, None], known.values, column, like=self._throw)
+        return invert_force(self._throw, force)
 
     def mass(self, known: ParameterSet) -> Array:
         """Mass of each load measured with these parameters, kg, (n,)."""
-        return self.total(self.flow(known)[0])
+        return self.windows.total_kg(self.flow(known)[0])
 
     def slopes(self, values: Sequence[Mapping[str, float]], flow: Array, by_flow: Array, steps: Sequence[float]) -> Array:
         """Difference quotients of ln mass, (n, k).
@@ -165,15 +163,19 @@ class LoadProblem:
         steps : sequence of float (k,)
             Size of each change.
         """
-        at = Conditions(self.angle, self.speed, mass_flow_kg_s=flow, moisture_pct=self.moisture)
+        windows = self.windows
+        at = Conditions(
+            windows.plate_angle_rad, windows.elevator_speed_rad_s, mass_flow_kg_s=flow, moisture_pct=windows.moisture_pct
+        )
         alike = len({tuple(item) for item in values}) == 1
         forces = (
             list(np.real(self.model.force(at, _in_rows(values), overfull="nan")))
             if alike
             else [np.real(self.model.force(at, item, overfull="nan")) for item in values]
         )
-        shifts = [(self.force - force) / by_flow for force in forces]
-        return np.stack([self.total(shift) / self.total(flow) / step for shift, step in zip(shifts, steps, strict=True)], axis=1)
+        total_kg = windows.total_kg(flow)
+        changes_kg = [windows.total_kg((windows.force_n - force) / by_flow) for force in forces]
+        return np.stack([change_kg / total_kg / step for change_kg, step in zip(changes_kg, steps, strict=True)], axis=1)
 
     def held_slopes(self, centre: ParameterSet) -> Array:
         """Derivatives of ln mass with respect to each held parameter, (n, held)."""
@@ -186,11 +188,7 @@ class LoadProblem:
 
     def ticket_slopes(self) -> Array:
         """Derivatives of ln(measured / weighed mass) with respect to the held parameters through the weighed mass, (n, held)."""
-        return np.outer(-self.common, [float(name == BIAS) for name in self.held])
-
-    def informed(self, columns: Array, weight: Array) -> Array:
-        """Inverse covariance of the loads' own errors times columns (n, k), each load with a weight (n,)."""
-        return by_inverse(weight / self.apart**2, self.shared, columns)
+        return np.outer(-self.errors.common, [float(name == BIAS) for name in self.held])
 
     def fit(self, active: NDArray[np.bool_], directions: int, near: LoadFit | None = None) -> LoadFit:
         """Most likely step, given the active loads.
@@ -223,10 +221,10 @@ class LoadProblem:
             weight = active / np.maximum(np.abs(error) / self._far, 1.0) if np.any(active) else weight
             basis = self.basis(slope, weight)[:, :directions]
             h = slope @ basis
-            information = h.T @ self.informed(h, weight) + np.eye(directions)
+            information = h.T @ self.errors.informed(h, weight) + np.eye(directions)
             # The residual that would be left at the start, in the linear model about this step.
             target = error - slope @ step
-            against = h.T @ self.informed(target[:, None], weight)[:, 0]
+            against = h.T @ self.errors.informed(target[:, None], weight)[:, 0]
             wanted = -basis @ np.linalg.solve(information, against) if directions else np.zeros(2)
             change = wanted - step
             for _ in range(8):
@@ -247,13 +245,13 @@ class LoadProblem:
     @property
     def _far(self) -> Array:
         """ln error beyond which a load loses weight, (n,)."""
-        return np.asarray(self.settings.huber_sds * np.hypot(self.sd, self.moist))
+        return np.asarray(self.settings.huber_sds * np.hypot(self.errors.sd, self.errors.moist))
 
     def _slopes(self, step: Array) -> tuple[Array, Array]:
         """ln(measured / weighed mass), (n,), nan above a full paddle; and its derivatives with respect to the step, (n, 2)."""
         flow, by_flow = self.flow(moved(self.start, float(step[0]), float(step[1])))
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.log(self.total(flow) / self.weighed)
+            error = np.log(self.windows.total_kg(flow) / self.weighed)
             beside = [moved(self.start, *map(float, step + _STEP * d)).values for d in np.eye(2)]
             slopes = self.slopes(beside, flow, by_flow, (_STEP, _STEP))
         return error, slopes
@@ -261,14 +259,14 @@ class LoadProblem:
     def basis(self, slope: Array, weight: Array) -> Array:
         """Directions with a prior standard deviation of 1 in columns, (2, 2), the one that the loads determine best first."""
         root = np.linalg.cholesky(self.prior[-2:, -2:])
-        _, vectors = np.linalg.eigh(root.T @ slope.T @ self.informed(slope, weight) @ root)
+        _, vectors = np.linalg.eigh(root.T @ slope.T @ self.errors.informed(slope, weight) @ root)
         return np.asarray(root @ vectors[:, ::-1])
 
     def information(self, fit: LoadFit, active: NDArray[np.bool_]) -> Array:
         """Information of the loads relative to the prior's, along the directions of `basis`, (2,)."""
         basis = self.basis(fit.by_step, active.astype(float))
         h = fit.by_step @ basis
-        return np.asarray(np.sum(h * self.informed(h, active.astype(float)), axis=0))
+        return np.asarray(np.sum(h * self.errors.informed(h, active.astype(float)), axis=0))
 
     def cost(self, fit: LoadFit, active: NDArray[np.bool_]) -> float:
         """Half the sum of the active loads' losses (Huber) and the prior's square."""
@@ -304,18 +302,18 @@ class LoadProblem:
         """Deviation of load k from its prediction by the others, in standard deviations that include `law`."""
         error = fit.error - fit.by_step @ fit.step
         h = fit.by_step @ np.linalg.cholesky(self.prior[-2:, -2:])
-        limit = self.settings.huber_sds * np.hypot(self.sd, self.settings.law_error)
-        noise = self.apart**2 * np.maximum(np.abs(fit.error) / limit, 1.0)
-        covariance = h @ h.T + self.law + np.diag(noise)
+        limit = self.settings.huber_sds * np.hypot(self.errors.sd, self.settings.law_error)
+        law, apart = self.errors.law, self.errors.apart
+        covariance = h @ h.T + law + np.diag(apart**2 * np.maximum(np.abs(fit.error) / limit, 1.0))
         between = np.linalg.solve(covariance[np.ix_(others, others)], covariance[others, k])
-        variance = h[k] @ h[k] + self.law[k, k] + self.apart[k] ** 2 - between @ covariance[others, k]
+        variance = h[k] @ h[k] + law[k, k] + apart[k] ** 2 - between @ covariance[others, k]
         return float(abs(error[k] - between @ error[others]) / np.sqrt(variance))
 
     def contradicts(self, fit: LoadFit, active: NDArray[np.bool_], directions: int) -> bool:
         """Whether the active loads contradict a fit along so many directions, by a chi-square test."""
         from scipy.special import chdtrc  # slow to import: not needed by commands without loads
 
-        misfit = float(fit.error @ self.informed(fit.error[:, None], active.astype(float))[:, 0])
+        misfit = float(fit.error @ self.errors.informed(fit.error[:, None], active.astype(float))[:, 0])
         return bool(chdtrc(max(float(active.sum()) - directions, 1.0), misfit) < _SIGNIFICANT)
 
     def spread(self, known: ParameterSet, active: NDArray[np.bool_]) -> tuple[float, float]:
@@ -323,12 +321,13 @@ class LoadProblem:
         rows = self._own_slopes(known)[active]
         spread = np.einsum("ki,ij,kj->k", rows, known.covariance, rows)
         mean = rows.mean(axis=0)
-        return float(np.sqrt(spread.mean() + np.mean(self.own[active] ** 2))), float(np.sqrt(mean @ known.covariance @ mean))
+        further = spread.mean() + np.mean(self.errors.own[active] ** 2)
+        return float(np.sqrt(further)), float(np.sqrt(mean @ known.covariance @ mean))
 
     def spreads(self, known: ParameterSet) -> Array:
         """Relative standard deviation of each measured mass from a set's own covariance, (n,)."""
         rows = self._own_slopes(known)
-        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", rows, known.covariance, rows) + self.own**2))
+        return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", rows, known.covariance, rows) + self.errors.own**2))
 
     def _own_slopes(self, known: ParameterSet) -> Array:
         """Derivatives of ln mass with respect to each parameter of a set's covariance, (n, k); 0 if a load has no flow."""
@@ -336,26 +335,6 @@ class LoadProblem:
         steps = [1e-2 * known.standard_deviation(name) for name in known.covariance_names]
         each = [shifted(known.values, name, step) for name, step in zip(known.covariance_names, steps, strict=True)]
         return np.asarray(np.nan_to_num(self.slopes(each, flow, by_flow, steps)))
-
-
-def by_inverse(information: Array, shared: Array, columns: Array) -> Array:
-    """Inverse of (diag(1 / information) + shared @ shared.T) times columns (n, k); shared: (n, m). Rows of no information are
-    0."""
-    weighted = columns * information[:, None]
-    shared = shared[:, np.any(shared, axis=0)]
-    if not shared.shape[1]:
-        return weighted
-    along = shared * information[:, None]
-    inner = np.linalg.solve(np.eye(shared.shape[1]) + shared.T @ along, along.T @ columns)
-    return np.asarray(weighted - along @ inner)
-
-
-def _by_moisture(loads: Sequence[WeighedLoad]) -> Array:
-    """See `LoadProblem.moist`; 0 for all loads if the moisture of one is not known."""
-    found = [load.mean_moisture_pct for load in loads]
-    if not np.all(np.isfinite(found)):
-        return np.zeros(len(loads))
-    return np.asarray(FLOW_PER_MOISTURE_PCT * (np.array(found) - np.mean(found)))
 
 
 def _in_rows(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:

@@ -247,7 +247,7 @@ def _slopes_at(problem: LawProblem, step: Array) -> tuple[Array, Array]:
     known = placed(problem.start, step)
     flow, by_flow = problem.flow(known)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.log(problem.total(flow) / problem.weighed)
+        error = np.log(problem.windows.total_kg(flow) / problem.weighed)
         size = 1e-4
         beside = [placed(problem.start, step + size * d).values for d in np.eye(step.size)]
         return error, problem.slopes(beside, flow, by_flow, (size,) * step.size)
@@ -278,7 +278,8 @@ def _mixture(
     """Posterior over all combinations in the model linearised about `step`."""
     h, target = slope[active], slope[active] @ step - error[active]
     shifted = target - tickets.shifts
-    noise = np.diag(problem.apart[active] ** 2) + problem.shared[active] @ problem.shared[active].T
+    errors = problem.errors
+    noise = np.diag(errors.apart[active] ** 2) + errors.shared[active] @ errors.shared[active].T
     parts = [_under(curve, h, shifted, noise, tickets) for curve in problem.curves]
     logs, steps, after, gains, along = (np.concatenate(part) for part in zip(*parts, strict=True))
     of_covariance = tickets.of_covariance
@@ -423,7 +424,8 @@ def against_others(law: LawProblem, others: NDArray[np.bool_], k: int, near: Arr
     if found is None:
         return Against(float("nan"), 1.0, 0.0)
     row = np.concatenate((found.by_held[k] + law.ticket_slopes()[k], found.by_step[k]))
-    std_dev = float(np.sqrt(row @ found.covariance @ row + law.apart[k] ** 2 + law.moist[k] ** 2 + found.scatter**2))
+    errors = law.errors
+    std_dev = float(np.sqrt(row @ found.covariance @ row + errors.apart[k] ** 2 + errors.moist[k] ** 2 + found.scatter**2))
     return Against(float(found.error[k]), std_dev, float(abs(found.error[k])) / std_dev)
 
 

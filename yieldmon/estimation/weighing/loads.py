@@ -134,8 +134,8 @@ def _with_range(
     another machine. Seconds beyond `_LOW` and `_HIGH` are sweeps and ends of passes, on which a load's mass depends little.
     """
     every = LoadProblem(problem.model, known, known, loads, problem.settings)
-    flow = every.flow(known)[0]
-    mass = np.where(active[every.of_load], every.duration * flow, 0.0)
+    flow, windows = every.flow(known)[0], every.windows
+    mass = np.where(active[windows.of_load], windows.duration_s * flow, 0.0)
     moisture = np.array([load.mean_moisture_pct for load, ok in zip(problem.loads, active, strict=True) if ok])
 
     def middle(value: Array, limits: tuple[float, float] | None) -> tuple[float, float]:
@@ -150,8 +150,8 @@ def _with_range(
         model_error=known.model_error if before != CalibratedRange() else 0.0,
         calibrated=CalibratedRange(
             middle(flow, before.mass_flow_kg_s),
-            middle(every.angle, before.plate_angle_rad),
-            middle(every.speed, before.elevator_speed_rad_s),
+            middle(windows.plate_angle_rad, before.plate_angle_rad),
+            middle(windows.elevator_speed_rad_s, before.elevator_speed_rad_s),
             before.moisture_pct if problem.model.needs_moisture or not np.all(np.isfinite(moisture)) else span(moisture),
         ),
     )
@@ -161,7 +161,7 @@ def _bears_out(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
     """Whether the given set measures the active loads within its uncertainty."""
     given = problem.given
     own = LoadProblem(problem.model, given, given, problem.loads, problem.settings)
-    std_dev = np.hypot(np.hypot(own.spreads(given), own.sd), given.own_error)
+    std_dev = np.hypot(np.hypot(own.spreads(given), own.errors.sd), given.own_error)
     error = np.log(own.mass(given) / own.weighed)
     return bool(np.all((np.abs(error) < problem.settings.outlier_sds * std_dev)[active]))
 
@@ -200,7 +200,7 @@ def _calibration(
 
 def _by_other_monitor(problem: LoadProblem, active: NDArray[np.bool_], directions: int) -> bool:
     """Whether the errors of loads left out are explained by the error of another combine's monitor."""
-    return bool(np.any(problem.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
+    return bool(np.any(problem.errors.common) and _rms(problem.left_out(active, directions).away[active]) <= _CONTRADICTED)
 
 
 @dataclass(frozen=True)
@@ -313,7 +313,8 @@ def _next_sd(problem: LoadProblem, active: NDArray[np.bool_], found: LawAverage)
     """Relative standard deviation of a further load like the active ones."""
     rows = np.column_stack((found.by_held, found.by_step))[active]
     spread = np.einsum("ki,ij,kj->k", rows, found.covariance, rows)
-    return float(np.sqrt(np.mean(spread) + np.mean(problem.own[active] ** 2 + problem.moist[active] ** 2) + found.scatter**2))
+    errors = problem.errors
+    return float(np.sqrt(np.mean(spread) + np.mean(errors.own[active] ** 2 + errors.moist[active] ** 2) + found.scatter**2))
 
 
 def _with_wrong_ticket(
@@ -347,7 +348,7 @@ def _as_law_set(law: LawProblem, active: NDArray[np.bool_], found: LawAverage) -
     common to all seconds of a load."""
     count = len(law.held)
     covariance = found.covariance.copy()
-    by_moisture = float(np.mean(law.moist[active] ** 2))
+    by_moisture = float(np.mean(law.errors.moist[active] ** 2))
     covariance[count + 1, count + 1] += (found.scatter**2 + by_moisture) / float(np.mean(found.by_step[:, 1])) ** 2
     return carrying(_as_set(law, placed(law.start, found.step), covariance[: count + 2, : count + 2]), law, covariance)
 
@@ -400,7 +401,7 @@ def _together(
             moisture_pct=load.moisture_pct,
             common_kg=load.common_kg,
         )
-        for load, sd, ok in zip(problem.loads, problem.sd, active, strict=True)
+        for load, sd, ok in zip(problem.loads, problem.errors.sd, active, strict=True)
         if ok
     ]
     centre = moved(problem.start, *map(float, near.step))
@@ -454,17 +455,18 @@ def _posterior(
     determined = directions if full is None else 2
     basis = np.zeros((h.shape[1], determined))
     basis[-2:] = problem.basis(fit.by_step, active.astype(float))[:, :determined]
-    noise, shared, moist = problem.apart[active] ** 2, problem.shared[active], problem.moist[active]
+    errors = problem.errors
+    noise, shared, moist = errors.apart[active] ** 2, errors.shared[active], errors.moist[active]
     moving, counted = rows @ basis, active.astype(float)
     gain = basis @ moving.T @ np.linalg.inv(moving @ moving.T + np.diag(noise) + shared @ shared.T)
     tickets = rows.copy()
     tickets[:, : len(problem.held)] += problem.ticket_slopes()[active]
     left = np.eye(h.shape[1]) - gain @ tickets
-    chi2 = float(fit.error @ problem.informed(fit.error[:, None], counted)[:, 0])
+    chi2 = float(fit.error @ errors.informed(fit.error[:, None], counted)[:, 0])
     dof = max(int(active.sum()) - directions, 0)
     inflation = (_PRIOR_LOADS + chi2) / (_PRIOR_LOADS + dof)
     held, by_noise = left @ problem.prior @ left.T, gain @ np.diag(noise) @ gain.T
-    own = np.mean(problem.own[active] ** 2 + moist**2)
+    own = np.mean(errors.own[active] ** 2 + moist**2)
     each = [np.einsum("ki,ij,kj->k", rows, part, rows).mean() for part in (held, by_noise)]
     inflation = max(inflation, float((shown**2 - each[0]) / (each[1] + own)))
     covariance = held + inflation * by_noise + np.outer(gain @ moist, gain @ moist)

@@ -123,8 +123,9 @@ def by_no_plate(problem: LoadProblem, active: NDArray[np.bool_]) -> bool:
     if count < LEAST_LOADS - 1:
         return False
     low, high = _EXPONENTS if count >= LEAST_LOADS else _EXPONENTS_OF_TWO
-    seconds = np.bincount(problem.of_load, problem.duration)
-    force = np.bincount(problem.of_load, problem.duration * problem.force / problem.speed) / seconds
+    windows = problem.windows
+    seconds = np.bincount(windows.of_load, windows.duration_s)
+    force = np.bincount(windows.of_load, windows.duration_s * windows.force_n / windows.elevator_speed_rad_s) / seconds
     by_flow, by_force = (np.subtract.outer(v, v) for v in (np.log(problem.weighed / seconds)[active], np.log(force)[active]))
     nearest = np.sign(by_flow) * np.clip(by_force * np.sign(by_flow), low * np.abs(by_flow), high * np.abs(by_flow))
     return bool(np.any(np.abs(by_force - nearest) > _BESIDE))
