@@ -225,8 +225,8 @@ def _outcome(problem: ClosedLoopProblem, solution: Solution) -> Outcome:
     """The outcome of a solved problem."""
     from scipy.special import chdtrc  # slow to import: not needed by commands without a sweep
 
-    width, settings = len(problem.names), problem.settings
-    theta, residual = solution.unknown[:width], solution.residual
+    settings = problem.settings
+    theta, residual = solution.unknown[problem.layout.of_parameters], solution.residual
     chi2 = float(residual @ residual)
     known = problem.windows + len(problem.masses) + (problem.density is not None)
     dof = max(known - len(problem.sweeps), 1)
@@ -298,7 +298,7 @@ def _sweep_residuals(problem: ClosedLoopProblem, solution: Solution) -> tuple[Ar
 
 def _data_information(problem: ClosedLoopProblem, jacobian: Array) -> Array:
     """Information of all data except the prior on the parameters, with the flows eliminated, (n, n)."""
-    windows, width = problem.windows, len(problem.names)
+    windows, width = problem.windows, problem.layout.parameters
     data = np.delete(jacobian, slice(windows, windows + width), axis=0)
     full = data.T @ data
     info = full[:width, :width]
@@ -309,8 +309,8 @@ def _data_information(problem: ClosedLoopProblem, jacobian: Array) -> Array:
 
 
 def _scale(problem: ClosedLoopProblem, solution: Solution) -> ScaleReport:
-    width = len(problem.names)
-    theta, posterior = solution.unknown[:width], solution.covariance[:width, :width]
+    parameters = problem.layout.of_parameters
+    theta, posterior = solution.unknown[parameters], solution.covariance[parameters, parameters]
     values = {n: float(v) for n, v in zip(problem.names, theta, strict=True)} | problem.fixed
     tangent = np.array([scale_tangent(n, values[n]) for n in problem.names])
     # ln a is the component of the change along the scale direction, in the metric of the prior.
@@ -331,20 +331,20 @@ def _null_directions(problem: ClosedLoopProblem, jacobian: Array, values: Mappin
     """Directions of flows and parameters that the sweeps alone do not determine."""
     if not problem.sweeps:
         return ()
-    count, width = len(problem.sweeps), len(problem.names)
-    relative = jacobian[: problem.windows, :width] * np.array([natural_scale(n, values[n]) for n in problem.names])
-    together = np.column_stack((jacobian[: problem.windows, width : width + count], relative))
+    count, of_windows = len(problem.sweeps), jacobian[: problem.windows]
+    relative = of_windows[:, problem.layout.of_parameters] * np.array([natural_scale(n, values[n]) for n in problem.names])
+    together = np.column_stack((of_windows[:, problem.layout.of_flows], relative))
     found = directions(together, flow_names(count, problem.names))
     return share_flow([d for d in found if not np.isfinite(d.relative_sd)], count, problem.names)
 
 
 def _flows(problem: ClosedLoopProblem, solution: Solution) -> tuple[FlowPosterior, ...]:
-    unknown, width = solution.unknown, len(problem.names)
+    unknown, first = solution.unknown, problem.layout.of_flows.start
     out = []
     for i, rows in enumerate(problem.sweep_rows):
-        level = float(unknown[width + i])
+        level = float(unknown[first + i])
         gradient = np.zeros(unknown.size)
-        gradient[width + i] = 1.0
+        gradient[first + i] = 1.0
         extra = 0.0
         if problem.settings.flow == "process":
             # The mean of the process, given the residuals. It is correlated with the level, so both are added.

@@ -89,6 +89,42 @@ class Solution:
     whiteners: tuple[Array, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class UnknownLayout:
+    """Order of the unknown vector: parameters, ln flows, slopes of flows, model errors.
+
+    Attributes
+    ----------
+    parameters, sweeps, slopes, errors : int
+        Number of each; there is one flow for each sweep, and one slope for each or none.
+    """
+
+    parameters: int
+    sweeps: int
+    slopes: int
+    errors: int
+
+    @property
+    def of_parameters(self) -> slice:
+        """Place of the parameters."""
+        return slice(0, self.parameters)
+
+    @property
+    def of_flows(self) -> slice:
+        """Place of the logarithms of the flows."""
+        return slice(self.parameters, self.parameters + self.sweeps)
+
+    @property
+    def of_slopes(self) -> slice:
+        """Place of the flows' slopes."""
+        return slice(self.of_flows.stop, self.of_flows.stop + self.slopes)
+
+    @property
+    def of_errors(self) -> slice:
+        """Place of the model errors."""
+        return slice(self.of_slopes.stop, self.of_slopes.stop + self.errors)
+
+
 class ClosedLoopProblem:
     """Sweeps, masses and prior, as residuals of one unknown vector.
 
@@ -106,8 +142,8 @@ class ClosedLoopProblem:
         Windows of all sweeps.
     sweep_rows : list of slice
         Rows of each sweep among the residuals and the windows.
-    slopes : int
-        Number of unknown slopes: one for each sweep, or 0.
+    layout : UnknownLayout
+        Order of the unknown vector.
     at_angle : ndarray (windows, A)
         1 if a window is at the angle, else 0; no columns if the model error is not part of the unknown.
     flow_covariances : list of ndarray
@@ -147,8 +183,9 @@ class ClosedLoopProblem:
         self.sweep_rows = _slices([s.force_n.size for s in self.sweeps])
         self.windows = sum(s.force_n.size for s in self.sweeps)
         self.weighed_rows = _slices([a.force_n.size for a in self.masses], self.windows)
-        self.slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.at_angle = self._angles_in_common()
+        slopes = len(self.sweeps) if settings.flow == "linear" else 0
+        self.layout = UnknownLayout(len(self.names), len(self.sweeps), slopes, self.at_angle.shape[1])
         self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
         self.flow_covariances: list[Array] = []
         self._near = _WeighedFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
@@ -184,23 +221,16 @@ class ClosedLoopProblem:
         of_window = cluster(np.concatenate([s.plate_angle_rad for s in self.sweeps]), SAME_ANGLE_RAD)
         return np.asarray(of_window[:, None] == np.unique(of_window), dtype=float)
 
-    @property
-    def _errors(self) -> slice:
-        """Slice of the model's errors in the unknown."""
-        first = len(self.names) + len(self.sweeps) + self.slopes
-        return slice(first, first + self.at_angle.shape[1])
-
     def solve(self) -> Solution:
         """Find the most likely unknown. Raises ValueError if no flow can explain a sweep or a weighed load."""
-        count, width = len(self.sweeps), len(self.names)
+        count, slopes, errors = self.layout.sweeps, self.layout.slopes, self.layout.errors
         flows, weighed_flows = self._first_flows()
-        self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, width)), self.prior.mean)
-        error, errors = self.settings.model_error, self.at_angle.shape[1]
-        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(self.slopes + errors)))
-        least = np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(self.slopes, -1.0), np.full(errors, -_LARGEST_ERROR)
-        most = np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(self.slopes, 1.0), np.full(errors, _LARGEST_ERROR)
+        self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, self.layout.parameters)), self.prior.mean)
+        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(slopes + errors)))
+        least = np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(slopes, -1.0), np.full(errors, -_LARGEST_ERROR)
+        most = np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(slopes, 1.0), np.full(errors, _LARGEST_ERROR)
         low, high = np.concatenate((self.lower, *least)), np.concatenate((self.upper, *most))
-        sizes = np.full(count, 0.1), np.full(self.slopes, 0.01), np.full(errors, error)
+        sizes = np.full(count, 0.1), np.full(slopes, 0.01), np.full(errors, self.settings.model_error)
         unit = np.concatenate((self.prior.standard_deviation, *sizes))
         # The noise by flow and model error depends on the solution, so both are computed alternately.
         passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
@@ -223,7 +253,7 @@ class ClosedLoopProblem:
             unknown = found.theta[0]
             if moved < 0.05:
                 break
-        empty = np.flatnonzero(unknown[width : width + count] <= np.log(_LEAST_FLOW_KG_S) + _AT_END)
+        empty = np.flatnonzero(unknown[self.layout.of_flows] <= np.log(_LEAST_FLOW_KG_S) + _AT_END)
         if empty.size:
             raise ValueError(f"sweep {empty[0] + 1} of {count}: its forces are those of an empty machine, without a flow to find")
         jacobian = found.jacobian[0]
@@ -248,23 +278,21 @@ class ClosedLoopProblem:
         return flows, np.maximum(together, 1e-3)
 
     def _loads(self, unknown: Array, weighed_flows: Array) -> Array:
-        width, count = len(self.names), len(self.sweeps)
-        level = unknown[width : width + count]
-        slope = unknown[width + count : width + count + self.slopes]
+        level, slope = unknown[self.layout.of_flows], unknown[self.layout.of_slopes]
         parts = [
-            np.exp(level[i] + (slope[i] * self.clocks[i] if self.slopes else 0.0)) * np.ones(s.force_n.size)
+            np.exp(level[i] + (slope[i] * self.clocks[i] if slope.size else 0.0)) * np.ones(s.force_n.size)
             for i, s in enumerate(self.sweeps)
         ]
         return np.concatenate([*parts, weighed_flows]) if parts or weighed_flows.size else np.ones(1)
 
     def _forces(self, unknown: Array) -> _Forces:
         """Forces of the windows. Flows of the weighed loads are updated so that they explain their forces."""
-        width, place = len(self.names), unknown.tobytes()
+        place = unknown.tobytes()
         if self._last is not None and self._last[0] == place:
             return self._last[1]
         if not self.sweeps and not self.masses:
-            return _Forces(np.zeros(0), np.zeros((0, width)), np.zeros(0), np.ones(1))
-        theta, rows, passes = unknown[:width], slice(self.windows, None), self.rows.passes_per_s
+            return _Forces(np.zeros(0), np.zeros((0, self.layout.parameters)), np.zeros(0), np.ones(1))
+        theta, rows, passes = unknown[self.layout.of_parameters], slice(self.windows, None), self.rows.passes_per_s
         for _ in range(_NEWTON_STEPS):
             load = self._loads(unknown, self._near.at(theta))
             value, jacobian, by_load = self.rows.at_load(theta, load)
@@ -318,36 +346,35 @@ class ClosedLoopProblem:
 
     def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
         """Whitened residuals (1, m) and derivatives (1, m, u) of windows, prior, slopes, model errors, masses and density."""
-        width, count = len(self.names), len(self.sweeps)
+        layout = self.layout
         found = self._forces(unknown)
         force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
         residuals, jacobians = [], []
-        errors = unknown[self._errors]
+        errors = unknown[layout.of_errors]
         missed = self.model_errors_n(unknown)
         for i, (rows, whitener) in enumerate(zip(self.sweep_rows, whiteners, strict=True)):
             jacobian = np.zeros((len(whitener), unknown.size))
             factor = 1.0 + self.at_angle[rows] @ errors
-            jacobian[:, :width] = by_theta[rows] * factor[:, None]
-            jacobian[:, self._errors] = self.at_angle[rows] * force[rows, None]
+            jacobian[:, layout.of_parameters] = by_theta[rows] * factor[:, None]
+            jacobian[:, layout.of_errors] = self.at_angle[rows] * force[rows, None]
             elastic = by_load[rows] * loads[rows] * factor
-            jacobian[:, width + i] = elastic
-            if self.slopes:
-                jacobian[:, width + count + i] = elastic * self.clocks[i]
+            jacobian[:, layout.of_flows.start + i] = elastic
+            if layout.slopes:
+                jacobian[:, layout.of_slopes.start + i] = elastic * self.clocks[i]
             residuals.append(whitener @ (force[rows] + missed[rows] - self.force[rows]))
             jacobians.append(whitener @ jacobian)
-        prior_jacobian = np.zeros((width, unknown.size))
-        prior_jacobian[:, :width] = self.white
-        residuals.append(self.white @ (unknown[:width] - self.prior.mean))
+        prior_jacobian = np.zeros((layout.parameters, unknown.size))
+        prior_jacobian[:, layout.of_parameters] = self.white
+        residuals.append(self.white @ (unknown[layout.of_parameters] - self.prior.mean))
         jacobians.append(prior_jacobian)
-        if self.slopes:
-            slope_jacobian = np.zeros((self.slopes, unknown.size))
-            slopes = slice(width + count, width + count + self.slopes)
-            slope_jacobian[:, slopes] = np.eye(self.slopes) / self.settings.flow_slope_sd_per_s
-            residuals.append(unknown[slopes] / self.settings.flow_slope_sd_per_s)
+        if layout.slopes:
+            slope_jacobian = np.zeros((layout.slopes, unknown.size))
+            slope_jacobian[:, layout.of_slopes] = np.eye(layout.slopes) / self.settings.flow_slope_sd_per_s
+            residuals.append(unknown[layout.of_slopes] / self.settings.flow_slope_sd_per_s)
             jacobians.append(slope_jacobian)
         if errors.size:
             error_jacobian = np.zeros((errors.size, unknown.size))
-            error_jacobian[:, self._errors] = np.eye(errors.size) / self.settings.model_error
+            error_jacobian[:, layout.of_errors] = np.eye(errors.size) / self.settings.model_error
             residuals.append(errors / self.settings.model_error)
             jacobians.append(error_jacobian)
         for mass, rows in zip(self.masses, self.weighed_rows, strict=True):
@@ -355,7 +382,7 @@ class ClosedLoopProblem:
             flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
             error_kg, sd_kg = float(mass.duration_s @ flow - mass.reference_kg), mass.std_dev_kg
             by = np.zeros((1, unknown.size))
-            by[0, :width] = -(mass.duration_s / by_load[rows]) @ by_theta[rows]
+            by[0, layout.of_parameters] = -(mass.duration_s / by_load[rows]) @ by_theta[rows]
             if mass.common_kg > 0.0 and BIAS in self.names:
                 place = self.names.index(BIAS)
                 error_kg -= mass.common_kg * unknown[place]
@@ -373,7 +400,7 @@ class ClosedLoopProblem:
 
     def model_errors_n(self, unknown: Array) -> Array:
         """Error of every window's force by the model errors that are common to the sweeps, N."""
-        return np.asarray(self._forces(unknown).force[: self.windows] * (self.at_angle @ unknown[self._errors]))
+        return np.asarray(self._forces(unknown).force[: self.windows] * (self.at_angle @ unknown[self.layout.of_errors]))
 
     def elastic(self, unknown: Array) -> Array:
         """d(force)/d(ln flow) of every window, N."""
