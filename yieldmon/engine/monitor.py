@@ -240,6 +240,17 @@ class Monitor(MonitorView):
         self._parts.updater.use(estimator, calibration_age_s, harvested_kg)
         self._parts.updater.scale_alarm.accept()
 
+    def know_calibration_age(self, calibration_age_s: float | None) -> None:
+        """Set the age of the calibration where it was not known, as before the computer's clock was set.
+
+        Parameters
+        ----------
+        calibration_age_s : float or None
+            Time since the parameters in use were calibrated, s; None where it is not known.
+        """
+        if self._parts.updater.calibration_age_s is None:
+            self._parts.updater.restore_age(calibration_age_s)
+
     def change_crop(self, estimator: FlowEstimator, calibration_age_s: float | None, *, before: str, now: str) -> None:
         """Use the parameters of another crop. Waiting tickets of the crop before wait for its return; a sweep under way ends.
 

@@ -11,7 +11,7 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, records_in
 from yieldmon.files.crops import shipped_name
-from yieldmon.service.assembly import monitor_of
+from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.memory import Memory, choose_parameters
@@ -65,6 +65,7 @@ class Measuring:
         rows = self.journal.take(completed)
         if rows:
             self._rows.extend(rows)
+            self.monitor.know_calibration_age(calibration_age_s(self.monitor.estimator.parameters, time.time()))
             self.record = records_in(completed)[-1]
         return len(rows)
 
