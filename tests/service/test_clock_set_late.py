@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,11 @@ import yaml
 from tests.service.bench import START_S, traffic
 from yieldmon import utc
 from yieldmon.files import parameter_file
+from yieldmon.resources import shipped
+from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config import configuration
 from yieldmon.service.history.memory import Memory
+from yieldmon.service.history.resumption import resume
 from yieldmon.service.measuring import Measuring
 
 CALIBRATED_S, DAY_S = 1_700_000_000.0, 86_400.0
@@ -35,3 +39,21 @@ def test_the_age_of_the_calibration_is_known_once_the_clock_is_set(
         measuring.take(measuring.monitor.completed(measuring.monitor.feed(frame)))
     found = measuring.monitor.snapshot().calibration_age_s
     assert found == (None if age_s is None else pytest.approx(age_s, abs=3.0))
+
+
+@pytest.mark.parametrize(
+    ("saved_s", "now_s", "age_s"),
+    [
+        (CALIBRATED_S, CALIBRATED_S + DAY_S, 2.0 * DAY_S),
+        (100.0, CALIBRATED_S, DAY_S),
+        (CALIBRATED_S, 100.0, DAY_S),
+    ],
+    ids=["set both times", "not set before", "not set now"],
+)
+def test_a_stop_is_as_long_as_the_clock_can_tell(saved_s: float, now_s: float, age_s: float) -> None:
+    """After a day on which no network set the clock, a calibration was 54 years old."""
+    loaded = configuration.load(shipped("config/yieldmon.yaml"), {})
+    monitor = monitor_of(loaded, loaded.parameters)
+    memory = Memory(engine=replace(monitor.snapshot(), calibration_age_s=DAY_S), saved_s=saved_s)
+    resume(monitor, memory, "store", loaded.parameters, now_s)
+    assert monitor.snapshot().calibration_age_s == pytest.approx(age_s)

@@ -14,6 +14,7 @@ from yieldmon.service.history.grain_since import grain_since_kg
 from yieldmon.service.history.memory import Memory
 from yieldmon.service.history.reference_loads import reference
 from yieldmon.service.storage.batch import Load
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 
 def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterSet, now_s: float) -> None:
@@ -28,7 +29,8 @@ def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterS
     age_s = memory.engine.calibration_age_s
     if origin == "file":
         age_s = calibration_age_s(configured, now_s)
-    elif age_s is not None:
+    elif age_s is not None and memory.saved_s >= EARLIEST_BUS_TIME_S:
+        # How long the computer was off is not known where its clock was not set.
         age_s += max(0.0, now_s - memory.saved_s)
     monitor.restore(replace(memory.engine, calibration_age_s=age_s))
     if origin == "file":
