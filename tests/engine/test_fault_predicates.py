@@ -139,7 +139,7 @@ CASES: dict[str, tuple[Callable[[], dict[FaultCode, str]], dict[FaultCode, str]]
         {F.FRAMES_LOST: "5 lost, 0 too many; samples cover the whole second: they arrive in bursts, or the mapping's "
          "counter is wrong"}),
     "lost in a silence before": (
-        lambda: seen(replace(harvest(lost_frames=3544, covered_s=0.84), sampled_before=False)),
+        lambda: seen(replace(harvest(lost_frames=3544, covered_s=0.84), sampled_before=False, silent_before=True)),
         {F.FRAMES_LOST: "3544 lost, 0 too many; they were lost while no samples came"}),
     "lost with room": (lambda: seen(harvest(lost_frames=5, covered_s=0.98)), {F.FRAMES_LOST: "5 lost, 0 too many"}),
     "not measured at all": (lambda: covered(0.0), {}),

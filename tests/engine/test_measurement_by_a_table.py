@@ -263,10 +263,11 @@ def test_readings_are_as_windows_say() -> None:
     machine = Seconds()
     assert not machine.second(0.0, covered_s=0.0).zero_taken
     reading = machine.harvest()
-    assert not reading.sampled_before
+    assert (reading.sampled_before, reading.silent_before) == (False, True)
     reading = machine.harvest()
     assert (reading.still, reading.at_home, reading.harvesting, reading.in_range, reading.speed_known) == (True,) * 5
     assert (reading.sampled_before, reading.zero_age_s, reading.calibrating_zero) == (True, 3.0, False)
+    assert not reading.silent_before
 
 
 UNSEEN_MV = SETTINGS.zero.window_pulse_margin_mv

@@ -155,7 +155,7 @@ def _frames_lost_detail(o: Observation) -> str:
         return f"{covered}, no frame missing: if this persists, check rate_hz"
     if o.window.lost_frames == 0 and not rivals:
         rivals = ": a second sender, or more samples per second than rate_hz says"
-    if not rivals and o.window.lost_frames and not o.reading.sampled_before:
+    if not rivals and o.reading.silent_before:
         rivals = "; they were lost while no samples came"
     elif not rivals and _counted_otherwise(o):
         rivals = "; samples cover the whole second: they arrive in bursts, or the mapping's counter is wrong"

@@ -33,15 +33,46 @@ _PULSED = 0.5
 class Reading:
     """A window before its flow is estimated.
 
-    quality: why there is no flow, None where an estimate decides. force_n, force_std_dev_n: nan where not known. speed_rad_s: of
-    the window, nan where no frame reported it; speed_known: at the window's end; in_range: at a speed at which grain is measured.
-    stuck_s: how long no sample has changed. struck_s: how long grain has struck the plate although the elevator is reported to
-    stand. still: the plate rested. sampled_before: the window before had samples.
-    windows_since_jump: closed since the bus's clock jumped. zero_taken: a zero was taken with this window. zero_age_s: since the
-    zero was last taken or followed, or since the start. zero_away_mv: how far the empty plate was seen from it since, in spells
-    too short to take another, or how far a zero taken despite signs of grain is from the one before it; zero_far_mv: where it
-    looked empty for long and that is too far to follow. zero_drift: what is wrong with it, "" for nothing.
-    zero_refusal: why there is no first zero.
+    Attributes
+    ----------
+    window : Window
+    inputs : InputSnapshot
+    quality : EstimateQuality or None
+        Why there is no flow; None where an estimate decides.
+    force_n, force_std_dev_n : float
+        N; nan where not known.
+    speed_rad_s : float
+        Of the window; nan where no frame reported it.
+    speed_known : bool
+        Whether it is at the window's end.
+    in_range : bool
+        Whether grain is measured at this speed.
+    stuck_s : int
+        How long no sample has changed, s.
+    struck_s : int
+        How long grain has struck the plate although the elevator is reported to stand, s.
+    still, at_home : bool
+        Whether the plate rested, and whether at the home angle.
+    harvesting : bool
+    zero : ZeroState or None
+    zero_drift : str
+        What is wrong with it; "" for nothing.
+    calibrating_zero : bool
+    sampled_before, silent_before : bool
+        Whether the window before had samples; whether it had none although an earlier one had.
+    windows_since_jump : int
+        Closed since the bus's clock jumped.
+    zero_taken : bool
+        Whether a zero was taken with this window.
+    zero_age_s : float
+        Since the zero was last taken or followed, or since the start, s.
+    zero_away_mv : float
+        How far the empty plate was seen from the zero since, mV, in spells too short to take another, or how far a zero taken
+        despite signs of grain is from the one before it.
+    zero_far_mv : float
+        How far from the zero the plate looked empty for long, where that is too far to follow, mV.
+    zero_refusal : ZeroRefusal or None
+        Why there is no first zero.
     """
 
     window: Window
@@ -61,6 +92,7 @@ class Reading:
     zero_drift: str
     calibrating_zero: bool
     sampled_before: bool
+    silent_before: bool
     windows_since_jump: int
     zero_taken: bool
     zero_age_s: float
@@ -92,7 +124,7 @@ class Measurement:
         self._stuck_s = 0
         self._struck_s = 0
         self._scatter = PaddleScatter(settings.windows)
-        self._sampled = False
+        self._sampled = self._ever_sampled = False
         self._jumps = 0
         self._paused = 0.0, 0.0
         """When the recording last went on after a pause, and how long it had paused since the zero was known, s."""
@@ -190,6 +222,8 @@ class Measurement:
         doubted_mv = self.zero.doubted_mv
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
+        silent_before = self._ever_sampled and not sampled_before
+        self._ever_sampled |= self._sampled
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
         self._jumps = clock_jumps
         speed = window.speed_rad_s if speed_was_known else _NAN
@@ -197,8 +231,8 @@ class Measurement:
         zero_age_s = window.end_s - self._zero_known_s + self._paused_since_zero_s
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
-            at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, self._since_jump, taken,
-            zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
+            at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, silent_before,
+            self._since_jump, taken, zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
