@@ -133,7 +133,7 @@ def _beyond(rows: Sequence[SecondRow], machine: Machine, sets: Mapping[int, Para
     for number, parameters in sets.items():
         of_version = counted & (version == number)
         flow, std_dev = _flows(rows, machine, parameters, force, of_version)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             own_noise = flow * column(rows, "force_std_dev_n") / force
             common = np.maximum((std_dev**2 - own_noise**2) / flow**2, 0.0)
             # The published flow is filtered, and its noise no larger than that of the second.
