@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
 
 import pytest
-from engine_bench import ZERO_MV, Bench, feed, monitor
+from engine_bench import ZERO_MV, Bench, Kept, feed, monitor
 
 from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
@@ -76,6 +76,21 @@ def thinned(frame: Frame) -> list[Frame]:
     return [] if sample and not 0.1 < frame.time_s % 1.0 < 0.22 else [frame]
 
 
+def with_and_without_wrong_zero(
+    frames: list[Frame], at_s: float, command: Callable[[Monitor], object], until_s: float = inf
+) -> tuple[Kept, Kept]:
+    """Two monitors that got the command at at_s, s; in grain, at 1036 s, the zero of the second was calibrated."""
+    both = monitor(), monitor()
+    for one in both:
+        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
+        if one is both[1]:
+            one.calibrate_zero()
+        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < at_s]))
+        command(one)
+        feed(one, run_of([f for f in frames if at_s <= f.time_s < until_s]))
+    return both
+
+
 @pytest.mark.parametrize(
     ("at_s", "command", "changed"),
     [
@@ -90,14 +105,7 @@ def test_an_undo_gives_each_load_and_the_totals_what_they_would_have(
     at_s: float, command: Callable[[Monitor], object], changed: Callable[[Frame], list[Frame]]
 ) -> None:
     frames = [one for frame in BENCH.frames(62) for one in changed(frame)]
-    whole, target = monitor(), monitor()
-    for one in (whole, target):
-        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
-        if one is target:
-            one.calibrate_zero()
-        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < at_s]))
-        command(one)
-        feed(one, run_of([f for f in frames if f.time_s >= at_s]))
+    whole, target = with_and_without_wrong_zero(frames, at_s, command)
     assert target.totals.total_kg < 0.8 * whole.totals.total_kg
     target.undo_zero()
     assert [load.measured_kg for load in target.loads] == pytest.approx([load.measured_kg for load in whole.loads], rel=5e-4)
@@ -108,14 +116,8 @@ def test_an_undo_gives_each_load_and_the_totals_what_they_would_have(
 def test_an_undo_states_a_load_of_which_nothing_was_counted_as_if_nobody_had_pressed_it(
     command: Callable[[Monitor], object],
 ) -> None:
-    frames, whole, target = BENCH.frames(72), monitor(), monitor()
-    for one in (whole, target):
-        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
-        if one is target:
-            one.calibrate_zero()
-        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < 1054.0]))
-        command(one)
-        feed(one, run_of([f for f in frames if 1054.0 <= f.time_s < 1064.0]))
+    frames = BENCH.frames(72)
+    whole, target = with_and_without_wrong_zero(frames, 1054.0, command, until_s=1064.0)
     assert target.totals.load_kg == 0.0
     target.undo_zero()
     for one in (whole, target):
@@ -149,17 +151,10 @@ def test_an_undo_states_what_may_have_come_unseen_as_if_nobody_had_pressed_it(
         return (14.0 if time_s < 1048.0 else then_kg_s) if time_s >= 1020.0 else 0.0
 
     frames = [one for frame in replace(BENCH, flow=flow).frames(70) for one in changed(frame)]
-    whole, target = monitor(), monitor()
+    whole, target = with_and_without_wrong_zero(frames, at_s, command, until_s=1062.5)
+    target.undo_zero()
+    # A spell without samples still counts where the load goes on.
     for one in (whole, target):
-        feed(one, run_of([f for f in frames if f.time_s < 1036.0]))
-        if one is target:
-            one.calibrate_zero()
-        feed(one, run_of([f for f in frames if 1036.0 <= f.time_s < at_s]))
-        command(one)
-        feed(one, run_of([f for f in frames if at_s <= f.time_s < 1062.5]))
-        if one is target:
-            one.undo_zero()
-        # A spell without samples still counts where the load goes on.
         feed(one, run_of([f for f in frames if f.time_s >= 1062.5]))
     for found, expected in zip(target.loads, whole.loads, strict=True):
         assert found.std_dev_kg == pytest.approx(expected.std_dev_kg, rel=0.05)

@@ -49,5 +49,5 @@ def _goes_on(time_s: Array, x_m: Array, y_m: Array, parts: NDArray[np.int32]) ->
     last, first = before[np.argmax(time_s[before])], after[np.argmin(time_s[after])]
     gap_s = float(time_s[first] + _HOUR_S - time_s[last])
     at_whole_hour = float(time_s[first]) % _HOUR_S <= gap_s
-    way_m = float(np.hypot(x_m[first] - x_m[last], y_m[first] - y_m[last]))
-    return 0.0 < gap_s <= _LONGEST_GAP_S and at_whole_hour and way_m <= FASTEST_M_S * gap_s + BESIDE_M
+    distance_m = float(np.hypot(x_m[first] - x_m[last], y_m[first] - y_m[last]))
+    return 0.0 < gap_s <= _LONGEST_GAP_S and at_whole_hour and distance_m <= FASTEST_M_S * gap_s + BESIDE_M
