@@ -120,7 +120,7 @@ def test_a_clock_that_is_set_back_between_two_passes_takes_no_point_away():
     assert [(p.pass_number, p.mass_kg, p.latitude_deg) for p in points] == [
         (p.pass_number, p.mass_kg, p.latitude_deg) for p in expected
     ]
-    (log,) = ET.fromstring(files(points, "north", lambda _: 15.5)["TASKDATA.XML"]).iter("TIM")
+    (log,) = ET.fromstring(files(points, lambda _: ("north", ""), lambda _: 15.5)["TASKDATA.XML"]).iter("TIM")
     assert log.attrib["A"] < log.attrib["B"]
     assert int(log.attrib["C"]) > 0
 
@@ -356,10 +356,10 @@ def test_task_data_with_a_moisture_that_is_not_known_have_no_dry_total():
 def test_what_task_data_cannot_hold_is_refused(tmp_path: Path, change: dict[str, float], said: str) -> None:
     points = yield_points(ROWS, SETTINGS)
     with pytest.raises(InputError, match=said):
-        write(tmp_path / "t.zip", [points[0], dataclasses.replace(points[1], **change)], "north", lambda _: 15.5)
+        write(tmp_path / "t.zip", [points[0], dataclasses.replace(points[1], **change)], lambda _: ("north", ""), lambda _: 15.5)
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ValueError, match="no points"):
-        files([], "north", lambda _: 15.5)
+        files([], lambda _: ("north", ""), lambda _: 15.5)
 
 
 def test_task_data_in_an_independent_reader(exported, isoxml):
@@ -399,6 +399,45 @@ def test_task_data_say_that_the_delay_is_taken_out(exported, capsys):
 def test_task_data_as_a_folder(exported):
     folder = exported("card", "--format", "taskdata", *WORDS)
     assert sorted(path.name for path in (folder / "TASKDATA").iterdir()) == ["TASKDATA.XML", "TLG00001.bin", "TLG00001.xml"]
+
+
+FIELDS = {1: ("north", "corn"), 2: ("south", "soybean")}
+
+
+def test_task_data_has_a_task_for_each_field_and_crop(tmp_path, capsys):
+    """Grain of all fields and crops was one total of one field."""
+    with Store(tmp_path / "s.sqlite") as store:
+        loads = tuple(dataclasses.replace(load, field=FIELDS[load.number][0], crop=FIELDS[load.number][1]) for load in LOADS)
+        store.commit([Batch(1, START_S + 200.0, {}, tuple(ROWS), loads)])
+    words = ["export", str(tmp_path / "s.sqlite"), "--out", str(tmp_path / "t.zip"), *WORDS[:4]]
+    assert cli.main(words) == 0
+    with zipfile.ZipFile(tmp_path / "t.zip") as archive:
+        root = ET.fromstring(archive.read("TASKDATA/TASKDATA.XML"))
+        assert {f"TASKDATA/TLG0000{n}.{end}" for n in (1, 2) for end in ("bin", "xml")} < set(archive.namelist())
+    crops = {one.attrib["A"]: one.attrib["B"] for one in root.iter("CTP")}
+    fields = {one.attrib["A"]: (one.attrib["C"], crops[one.attrib["G"]]) for one in root.iter("PFD")}
+    totals = {
+        fields[task.attrib["E"]]: int(value.attrib["B"])
+        for task in root.iter("TSK")
+        for value in task.iter("DLV")
+        if int(value.attrib["A"], 16) == 90
+    }
+    points = yield_points(ROWS, SETTINGS)
+    sums = {FIELDS[n]: round(sum(point.mass_kg for point in points if point.load_number == n)) for n in FIELDS}
+    assert totals == sums
+    assert cli.main([*words[:3], str(tmp_path / "one.zip"), *WORDS[:4], "--field", "all", "--grain", "corn"]) == 0
+    with zipfile.ZipFile(tmp_path / "one.zip") as archive:
+        root = ET.fromstring(archive.read("TASKDATA/TASKDATA.XML"))
+    assert [one.attrib["C"] for one in root.iter("PFD")] == ["all"]
+
+
+def test_task_data_is_not_written_beside_another_log(exported, folder, capsys):
+    """A reader would take that log's harvest, too."""
+    card = exported("card2", "--format", "taskdata", *WORDS)
+    (card / "TASKDATA" / "TLG00002.bin").write_bytes(b"")
+    words = ["export", str(folder / "r.csv"), "--out", str(card), "--format", "taskdata", "--force", *WORDS]
+    assert cli.main(words) == 2
+    assert "holds logs that these task data do not replace (TLG00002.bin); expected another folder" in capsys.readouterr().err
 
 
 def test_no_part_of_task_data_is_left_on_a_full_medium(folder, exported, capsys):

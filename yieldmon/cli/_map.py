@@ -11,6 +11,8 @@ from datetime import date
 from math import isfinite
 from pathlib import Path
 
+import numpy as np
+
 from yieldmon.cli import _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import within_if_given
@@ -22,7 +24,7 @@ from yieldmon.field.header_place import FARTHEST_M, HeaderPlace
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import HarvestTable, Skipped, joined
-from yieldmon.field.units import known_crops
+from yieldmon.field.units import crop, known_crops
 from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
 from yieldmon.units import UnitSystem
@@ -126,12 +128,20 @@ def _print_summary(result: harvest.HarvestMap) -> None:
     )
     lines += [note for note in result.notes if "cannot be estimated" not in note]
     if result.system is UnitSystem.US and result.bushel_kg is None:
-        lines.append(
-            f"the bushel of {result.crop or 'an unknown crop'} is not known: yields are in lb/ac; expected --crop, one of "
-            f"{', '.join(known_crops())}"
-        )
+        lines += _why_no_bushels(result)
     for line in lines:
         print(f"yieldmon: {line}", file=sys.stderr)
+
+
+def _why_no_bushels(result: harvest.HarvestMap) -> list[str]:
+    """A note, where there is grain."""
+    crops = result.crops.take(result.table["flow_kg_s"] > 0.0)
+    names = [crops.names[code] for code in np.unique(crops.codes)]
+    unknown = [name or "an unknown crop" for name in names if crop(name) is None]
+    if unknown:
+        expected = f"expected --crop, one of {', '.join(known_crops())}"
+        return [f"the bushel of {' and '.join(unknown)} is not known: yields are in lb/ac; {expected}"]
+    return [f"the bushels of {', '.join(names)} differ: yields are in lb/ac"] if len(names) > 1 else []
 
 
 def _formats(text: str) -> tuple[str, ...]:

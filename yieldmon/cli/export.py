@@ -69,7 +69,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="moisture of dry mass (default: the crop's market moisture, else 15.5)",
     )
     points.add_argument("--field", metavar="NAME", help="name of the field (default: the load's, else field)")
-    points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn)")
+    points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn; in task data none)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,7 +109,7 @@ def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequenc
     if not points:
         expected = "flow, and a position --flow-delay before it"
         raise InputError(args.record, "has no second of harvest with a position", expected)
-    _write_points(kind, out, points, settings, _names(args, loads))
+    _write_points(kind, out, points, settings, _names(args, loads, "" if kind == "taskdata" else _GRAIN))
     masses = f"{sum(point.mass_kg for point in points):.0f} of {sum(row.mass_kg for row in rows):.0f} kg"
     said = f"{out}: {_counted(len(points), 'yield point')} with {masses}"
     if kind == "agleader":
@@ -132,12 +132,13 @@ def _table(kind: str) -> Callable[[Path, type, Sequence[Any]], None]:
     return columns.write_csv if kind == "csv" else columns.write_parquet
 
 
-def _names(args: argparse.Namespace, loads: Sequence[LoadRecord]) -> Callable[[int | None], tuple[str, str]]:
-    """Field and crop of a load, by its number; of grain between loads where all loads have the same."""
-    known = {load.number: (args.field or load.field or _FIELD, args.grain or load.crop or _GRAIN) for load in loads}
-    of_all = set(known.values())
-    between = of_all.pop() if len(of_all) == 1 else (args.field or _FIELD, args.grain or _GRAIN)
-    return lambda number: between if number is None else known.get(number, (args.field or _FIELD, args.grain or _GRAIN))
+def _names(args: argparse.Namespace, loads: Sequence[LoadRecord], grain: str) -> Callable[[int | None], tuple[str, str]]:
+    """Field and crop of a load, by its number; of grain between loads where all loads have the same. grain: where no crop is
+    known."""
+    known = {load.number: (args.field or load.field or _FIELD, args.grain or load.crop or grain) for load in loads}
+    of_all, unknown = set(known.values()), (args.field or _FIELD, args.grain or grain)
+    between = of_all.pop() if len(of_all) == 1 else unknown
+    return lambda number: between if number is None else known.get(number, unknown)
 
 
 def _write_points(
@@ -152,8 +153,7 @@ def _write_points(
     elif kind == "agleader":
         agleader.write(out, points, names_of)
     else:
-        fields = {names_of(point.load_number)[0] for point in points}
-        taskdata.write(out, points, fields.pop() if len(fields) == 1 else _FIELD, settings.reference_of)
+        taskdata.write(out, points, names_of, settings.reference_of)
 
 
 def _settings(args: argparse.Namespace, rows: Sequence[SecondRow], loads: Sequence[LoadRecord]) -> PointSettings:

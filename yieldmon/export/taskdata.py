@@ -1,4 +1,4 @@
-"""Yield points as ISO 11783-10 task data: TASKDATA.XML and a binary time log with its header file.
+"""Yield points as ISO 11783-10 task data: TASKDATA.XML, and for each field and crop a binary time log with its header file.
 
 Layout: ISO 11783-10:2015 (XML elements, binary time log); values by the data dictionary of ISO 11783-11. Times are UTC.
 """
@@ -20,10 +20,9 @@ from yieldmon.files.whole_file import scratch_folder_for, scratch_for
 
 from .points import YieldPoint
 
-LOG_NAME = "TLG00001"
 FOLDER = "TASKDATA"
-FILES = (task_data.MAIN_FILE, f"{LOG_NAME}.xml", f"{LOG_NAME}.bin")
-"""In it."""
+FILES = (task_data.MAIN_FILE, "TLG00001.xml", "TLG00001.bin")
+"""In it, where all grain is of one field and crop."""
 
 ENTRIES = (
     task_data.Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
@@ -84,20 +83,37 @@ def binary_log(points: Sequence[YieldPoint], reference_of: Callable[[int | None]
     return b"".join(records), totals
 
 
-def files(points: Sequence[YieldPoint], field: str, reference_of: Callable[[int | None], float]) -> dict[str, bytes]:
-    """File name -> content of a TASKDATA folder. Raises ValueError without points."""
+def files(
+    points: Sequence[YieldPoint], names_of: Callable[[int | None], tuple[str, str]], reference_of: Callable[[int | None], float]
+) -> dict[str, bytes]:
+    """File name -> content of a TASKDATA folder. names_of: field and crop, "" where that is not known, of a load by its number.
+    Raises ValueError without points."""
     if not points:
         raise ValueError("no points")
-    content, totals = binary_log(points, reference_of)
-    first, last = (utc.moment(end(point.time_s for point in points)) for end in (min, max))
-    log = task_data.Log(LOG_NAME, content, first, last, round((last - first).total_seconds()), totals)
+    places: dict[tuple[str, str], list[YieldPoint]] = {}
+    for point in points:
+        places.setdefault(names_of(point.load_number), []).append(point)
+    crops = {name: f"CTP{number}" for number, name in enumerate(filter(None, dict.fromkeys(crop for _, crop in places)), 1)}
     root = task_data.task_data()
+    for name, key in crops.items():
+        ET.SubElement(root, "CTP", A=key, B=name)
     # The values are those of their places.
     task_data.add_combine(root, ENTRIES, latency_ms=0)
-    area_m2 = sum(point.distance_m * point.swath_m for point in points)
-    ET.SubElement(root, "PFD", A="PFD1", C=field, D=str(round(area_m2)))
-    task_data.add_task(root, "TSK1", f"Harvest {field}", "PFD1", log)
-    return task_data.files_of(root, ENTRIES, [log])
+    for number, ((field, crop), own) in enumerate(places.items(), 1):
+        area_m2 = round(sum(point.distance_m * point.swath_m for point in own))
+        known = {"A": f"PFD{number}", "C": field, "D": str(area_m2)}
+        ET.SubElement(root, "PFD", known | ({"G": crops[crop]} if crop else {}))
+    logs = []
+    for number, ((field, _), own) in enumerate(places.items(), 1):
+        logs.append(_log(f"TLG{number:05d}", own, reference_of))
+        task_data.add_task(root, f"TSK{number}", f"Harvest {field}", f"PFD{number}", logs[-1])
+    return task_data.files_of(root, ENTRIES, logs)
+
+
+def _log(name: str, points: Sequence[YieldPoint], reference_of: Callable[[int | None], float]) -> task_data.Log:
+    content, totals = binary_log(points, reference_of)
+    first, last = (utc.moment(end(point.time_s for point in points)) for end in (min, max))
+    return task_data.Log(name, content, first, last, round((last - first).total_seconds()), totals)
 
 
 def _refuse_other_times(path: Path, points: Sequence[YieldPoint]) -> None:
@@ -108,12 +124,18 @@ def _refuse_other_times(path: Path, points: Sequence[YieldPoint]) -> None:
             raise InputError(str(path), f"task data cannot hold a point of {utc.text(at)}", expected)
 
 
-def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Callable[[int | None], float]) -> None:
-    """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. reference_of: moisture
-    of a load's dry mass, %, by its number. Raises InputError for a time or mass that the format cannot hold."""
+def write(
+    path: Path,
+    points: Sequence[YieldPoint],
+    names_of: Callable[[int | None], tuple[str, str]],
+    reference_of: Callable[[int | None], float],
+) -> None:
+    """A zip with the folder TASKDATA in it for a name that ends in .zip, else that folder inside `path`. names_of: as in `files`.
+    reference_of: moisture of a load's dry mass, %, by its number. Raises InputError for a time or mass that the format cannot
+    hold, and for a folder with a log that these data would not replace."""
     _refuse_other_times(path, points)
     try:
-        content = files(points, plain(field), reference_of)
+        content = files(points, lambda load: _plain(*names_of(load)), reference_of)
     except (struct.error, OverflowError) as error:
         raise InputError(str(path), f"a point does not fit task data: {error}", "masses below 2 Mt") from error
     if path.suffix.lower() == ".zip":
@@ -123,6 +145,14 @@ def write(path: Path, points: Sequence[YieldPoint], field: str, reference_of: Ca
         return
     folder = path / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
+    # Readers take a log that no task names for harvest, too.
+    left = sorted(log.name for log in folder.glob("TLG*.bin") if log.name not in content)
+    if left:
+        raise InputError(str(folder), f"holds logs that these task data do not replace ({', '.join(left[:3])})", "another folder")
     with scratch_folder_for(folder, content) as scratch:
         for name, data in content.items():
             (scratch / name).write_bytes(data)
+
+
+def _plain(field: str, crop: str) -> tuple[str, str]:
+    return plain(field), plain(crop)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from yieldmon.files.ticket_file import WeighedTicket
-from yieldmon.units import KG_PER_LB, M2_PER_ACRE, Units, UnitSystem
+from yieldmon.units import M2_PER_ACRE, Units, UnitSystem
 
 from .cleaning import Cleaned, clean, much_left_out
 from .cleaning_rules import Context
@@ -19,12 +19,12 @@ from .loads import LoadResult, correct
 from .machines import Machine, machines_of, placed_by_machine
 from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg
+from .row_crops import common_bushel_kg, row_bushels_kg, row_crops
 from .swath import Swaths, swaths
-from .table import Array, HarvestTable
+from .table import Array, HarvestTable, Label
 from .totals import Totals, totals_of
 from .tracks import Tracks, cut_before_measured, tracks
 from .transport import Transport, assess, filtered
-from .units import crop
 
 SEED = 1
 _SAME_DELAY_S = 0.5
@@ -61,7 +61,7 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class HarvestMap:
-    """All of it, row by row of `table`."""
+    """All of it, row by row of `table`. crop: of most rows. bushel_kg: of all grain, None where crops differ in it."""
 
     table: HarvestTable
     steps: Tracks
@@ -74,6 +74,7 @@ class HarvestMap:
     totals: Totals
     yield_kg_m2: Array
     raw_yield_kg_m2: Array
+    crops: Label
     crop: str
     bushel_kg: float | None
     transport: Transport | None
@@ -147,8 +148,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     cleaned = clean(at, options.without)
     with np.errstate(invalid="ignore", divide="ignore"):
         raw = np.where(ground.gross_m2 > 0, measured_mass_kg(table) / ground.gross_m2, np.nan)
-    name = _crop_name(table)
-    facts = crop(name)
+    crops = row_crops(table)
     totals = totals_of(
         table, steps, placed, ground, cleaned,
         loads=loads, weighed=weighed, generator=np.random.default_rng(options.seed),
@@ -165,8 +165,9 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         totals=totals,
         yield_kg_m2=at.yield_kg_m2,
         raw_yield_kg_m2=raw,
-        crop=name,
-        bushel_kg=None if facts is None else facts.bushel_lb * KG_PER_LB,
+        crops=crops,
+        crop=_commonest(crops),
+        bushel_kg=common_bushel_kg(row_bushels_kg(crops)[table["flow_kg_s"] > 0.0]),
         transport=transport,
         notes=(
             *by_weight.notes,
@@ -201,8 +202,6 @@ def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> Harves
     )
 
 
-def _crop_name(table: HarvestTable) -> str:
-    label = table.labels["crop"]
-    if not len(table):
-        return ""
-    return label.names[int(np.argmax(np.bincount(label.codes, minlength=len(label.names))))]
+def _commonest(crops: Label) -> str:
+    """The crop of most rows."""
+    return crops.names[int(np.argmax(np.bincount(crops.codes, minlength=len(crops.names))))] if len(crops.codes) else ""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.row_crops import row_bushels_kg
 from yieldmon.field.table import LABELS, Index
 from yieldmon.units import M2_PER_ACRE, T_HA_PER_KG_M2
 
@@ -35,7 +36,7 @@ SHORT_NAMES: Mapping[str, str] = {
 
 
 def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
-    """Columns of some rows; `time_utc` only where the source's clock has a date, `yield_bu_ac` only where the bushel is known."""
+    """Columns of some rows; `time_utc` only where the source's clock has a date, `yield_bu_ac` where a crop's bushel is known."""
     table, steps, placed, ground = result.table, result.steps, result.placed, result.ground
     step = steps.step_of_row[rows]
     amount = result.yield_kg_m2[rows]
@@ -71,8 +72,9 @@ def point_columns(result: HarvestMap, rows: Index) -> dict[str, NDArray[Any]]:
     if np.isfinite(placed.flow_sd_kg_s).any():
         with np.errstate(invalid="ignore", divide="ignore"):
             out["yield_sd_t_ha"] = placed.flow_sd_kg_s[rows] * interval / ground.area_m2[rows] * T_HA_PER_KG_M2
-    if result.bushel_kg is not None:
-        out["yield_bu_ac"] = amount * M2_PER_ACRE / result.bushel_kg
+    bushels_kg = row_bushels_kg(result.crops)
+    if np.isfinite(bushels_kg).any():
+        out["yield_bu_ac"] = amount * M2_PER_ACRE / bushels_kg[rows]
     out["measured_flow_kg_s"] = table["flow_kg_s"][rows]
     out["measured_moisture_pct"] = table["moisture_pct"][rows]
     out["kept"] = result.cleaned.kept[rows]

@@ -14,6 +14,7 @@ from yieldmon.field.cleaning_rules import RULES
 from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import HarvestMap
+from yieldmon.field.harvest_notes import crops_of
 from yieldmon.field.plane import astray, wrapped_deg
 from yieldmon.field.summary import delay_lines, transport_line
 from yieldmon.field.table import Array
@@ -65,13 +66,14 @@ def content(result: HarvestMap) -> dict[str, Any]:
     middle, lowest, highest = (_number(shown.of(value), 2) for value in (totals.yield_kg_m2, totals.low_kg_m2, totals.high_kg_m2))
     bushels = result.bushels_per_acre(totals.yield_kg_m2) if shown.name == "t/ha" else None
     name = " ".join(dict.fromkeys(_plain(text) for text in result.table.labels["field"].names if text)) or "Harvest"
+    crops = crops_of(result.table)
     span = (
         ""
         if totals.low_kg is None or totals.high_kg is None
         else f", {_grain(totals.low_kg, units)} to {_grain(totals.high_kg, units)}"
     )
     return {
-        "title": f"{name}{', ' + result.crop if result.crop else ''}: yield map",
+        "title": f"{', '.join((name, *filter(None, crops if len(crops) > 1 else (result.crop,))))}: yield map",
         "subtitle": "; ".join(
             f"{Path(source.path).name} ({source.kind}, {source.points} points)" for source in result.table.sources[:6]
         ),

@@ -1,4 +1,4 @@
-"""ISO 11783-10 task data as measured: a task and a binary time log for each machine and field, zipped.
+"""ISO 11783-10 task data as measured: a task and a binary time log for each machine, field and crop, zipped.
 
 No delay is taken out; it stands in the log as the latency of its values. The last total of a log is its measured mass.
 Layout: ISO 11783-10:2015; values by the data dictionary of ISO 11783-11.
@@ -39,10 +39,12 @@ _NAMELESS = "field"
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     """`taskdata.zip` with the folder TASKDATA in it."""
-    logs = [_log(result, mine, number) for number, mine in enumerate(_parts(result), 1)]
+    place_of_row, names = _places(result)
+    logs = [(place, _log(result, mine, number)) for number, (place, mine) in enumerate(_parts(result, place_of_row), 1)]
     if not logs:
         return []
-    content = task_data.files_of(_tasks(result, logs), ENTRIES, [log for _, log in logs])
+    areas_m2 = np.bincount(place_of_row, result.ground.area_m2, len(names)).tolist()
+    content = task_data.files_of(_tasks(logs, names, areas_m2), ENTRIES, [log for _, log in logs])
     path = folder / FILES["taskdata"][0]
     with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in content.items():
@@ -50,20 +52,29 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     return [path]
 
 
-def _parts(result: HarvestMap) -> list[Index]:
-    """The steps of each machine in each field, as far as it has a position and a time there; those of a field without any are
-    with the machine's first."""
+def _places(result: HarvestMap) -> tuple[Index, list[tuple[str, str]]]:
+    """The place of each row, a field with one crop in it, and field and crop of each place."""
+    field, crop = result.table.labels["field"], result.crops
+    crops = max(len(crop.names), 1)
+    found, of_row = np.unique(field.codes.astype(np.int64) * crops + crop.codes, return_inverse=True)
+    names = [(field.names[code // crops] or _NAMELESS, crop.names[code % crops]) for code in found.tolist()]
+    return of_row.reshape(-1), names
+
+
+def _parts(result: HarvestMap, place_of_row: Index) -> list[tuple[int, Index]]:
+    """Each machine's places and its steps there, as far as it has a position and a time in them; the steps of a place without any
+    are with the machine's first."""
     steps = result.steps
     _, first_row = np.unique(steps.step_of_row, return_index=True)
-    field = result.table.labels["field"].codes[first_row].copy()
+    place = place_of_row[first_row]
     placed = _placed(result)
     parts = []
     for stream in np.unique(steps.stream):
         mine = steps.stream == stream
-        fields = list(dict.fromkeys(field[mine & placed].tolist()))
-        if fields:
-            field[mine & ~np.isin(field, fields)] = fields[0]
-        parts += [np.flatnonzero(mine & (field == one)) for one in fields]
+        visited = list(dict.fromkeys(place[mine & placed].tolist()))
+        if visited:
+            place[mine & ~np.isin(place, visited)] = visited[0]
+        parts += [(one, np.flatnonzero(mine & (place == one))) for one in visited]
     return parts
 
 
@@ -71,8 +82,8 @@ def _placed(result: HarvestMap) -> Flags:
     return np.isfinite(result.steps.x_m) & np.isfinite(result.steps.time_s)
 
 
-def _log(result: HarvestMap, mine: Index, number: int) -> tuple[str, task_data.Log]:
-    """The field of some of a machine's steps, and their log."""
+def _log(result: HarvestMap, mine: Index, number: int) -> task_data.Log:
+    """Some of a machine's steps."""
     steps = result.steps
     stream = steps.stream[mine[0]]
     rows = mine[_placed(result)[mine]]
@@ -100,11 +111,9 @@ def _log(result: HarvestMap, mine: Index, number: int) -> tuple[str, task_data.L
     }
     raw = {number: np.clip(np.round(one), -(2**31) + 1, 2**31 - 1).astype(np.int32) for number, one in values.items()}
     time = _since_epoch(steps.time_s[rows], result.table.unix_time)
-    label = result.table.labels["field"]
-    first_row = int(np.flatnonzero(steps.step_of_row == rows[0])[0])
     first_s, last_s = float(time[0]), float(time[-1])
     first, last = (task_data.EPOCH + timedelta(seconds=since_s) for since_s in (first_s, last_s))
-    return label.names[label.codes[first_row]] or _NAMELESS, task_data.Log(
+    return task_data.Log(
         f"TLG{number:05d}",
         _records(time, longitude, latitude, raw),
         first,
@@ -142,19 +151,22 @@ def _records(time: Array, longitude: Array, latitude: Array, raw: dict[int, np.n
     return out.tobytes()
 
 
-def _tasks(result: HarvestMap, logs: list[tuple[str, task_data.Log]]) -> ET.Element:
+def _tasks(logs: list[tuple[int, task_data.Log]], names: list[tuple[str, str]], areas_m2: list[float]) -> ET.Element:
+    """names, areas_m2: of each place, which the logs name by its number."""
     root = task_data.task_data()
-    if result.crop:
-        ET.SubElement(root, "CTP", A="CTP1", B=result.crop[:32])
+    places = list(dict.fromkeys(place for place, _ in logs))
+    named = filter(None, dict.fromkeys(names[place][1] for place in places))
+    crops = {name: f"CTP{number}" for number, name in enumerate(named, 1)}
+    for name, key in crops.items():
+        ET.SubElement(root, "CTP", A=key, B=name[:32])
     task_data.add_combine(root, ENTRIES)
-    fields = {name: f"PFD{number + 1}" for number, name in enumerate(dict.fromkeys(field for field, _ in logs))}
-    label = result.table.labels["field"]
-    area = np.bincount(label.codes, result.ground.area_m2, len(label.names))
-    for name, key in fields.items():
-        own = round(sum(m2 for one, m2 in zip(label.names, area.tolist(), strict=True) if (one or _NAMELESS) == name))
-        ET.SubElement(root, "PFD", {"A": key, "C": _clean(name), "D": str(own)} | ({"G": "CTP1"} if result.crop else {}))
-    for number, (field, log) in enumerate(logs, 1):
-        task_data.add_task(root, f"TSK{number}", f"Harvest {_clean(field)}"[:32], fields[field], log)
+    keys = {place: f"PFD{number}" for number, place in enumerate(places, 1)}
+    for place, key in keys.items():
+        field, crop = names[place]
+        known = {"A": key, "C": _clean(field), "D": str(round(areas_m2[place]))}
+        ET.SubElement(root, "PFD", known | ({"G": crops[crop]} if crop else {}))
+    for number, (place, log) in enumerate(logs, 1):
+        task_data.add_task(root, f"TSK{number}", f"Harvest {_clean(names[place][0])}"[:32], keys[place], log)
     return root
 
 
