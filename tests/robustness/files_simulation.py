@@ -355,7 +355,8 @@ def odd_names(rng: random.Random) -> None:
     rows = [measured_second(n, 1.7e9 + n, 9.0, latitude_deg=40.0 + n * 1e-5) for n in range(1, 40)]
     points = yield_points(rows, PointSettings(6.0, 0.0, 0.0, 0.0))
     with _folder() as folder:
-        _line_or_work(lambda: taskdata.write(folder / "t.zip", points, name, lambda load: 15.5), f"{name!r} in task data")
+        names = (name, name)
+        _line_or_work(lambda: taskdata.write(folder / "t.zip", points, lambda _: names, lambda _: 15.5), f"{name!r} in task data")
         with zipfile.ZipFile(folder / "t.zip") as packed:
             documents = [packed.read(one) for one in packed.namelist() if one.upper().endswith(".XML")]
         try:
