@@ -194,7 +194,7 @@ def test_what_a_gap_may_hold_by_what_was_silent(gap: str) -> None:
 def test_what_stops_may_hold_adds_up_to_an_hour_of_the_smaller_flow(stopped_s: float, again_s: float, unseen_kg: float) -> None:
     first = UnseenMass.since(FlowAtStop(1000.0, 10.0))
     first.resume(stopped_s)
-    second = UnseenMass.since(first.at_stop(1000.0, 10.0))
+    second = UnseenMass.since(first.at_stop(1000.0))
     second.resume(again_s)
     assert second.measured(4.0) == pytest.approx(unseen_kg)
 

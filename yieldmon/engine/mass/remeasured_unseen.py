@@ -81,18 +81,14 @@ def _unseen_by_load(
         if second.load_number != number:
             _add(found, number, unseen.cut())
             number = second.load_number
-        measured = second.covered_s > 0.0
-        speed = second.elevator_speed_rad_s
-        missing = Missing.of(sampled=measured, speed=speed, in_range=True, zeroed=True)
-        whole = silences.lacks_nothing(second.duration_s, None if measured else missing, stands=second.stands)
+        stands, speed, duration_s = second.stands, second.elevator_speed_rad_s, second.duration_s
+        missing = None if second.covered_s > 0.0 else Missing.of(sampled=False, speed=speed, in_range=True, zeroed=True)
+        whole = silences.lacks_nothing(duration_s, missing, stands=stands)
         if rate is None:
             continue
-        if measured:
-            _add(found, number, unseen.measured(rate, whole=whole))
-            if not second.enough:
-                _add(found, number, rate * max(second.duration_s - second.covered_s, 0.0))
-        elif not (second.stands and missing is Missing.ALL):
-            unseen.missing(second.duration_s, whole=whole, silent=not speed >= 0.0)
+        _add(found, number, unseen.second(duration_s, rate, missing, whole=whole, stands=stands, silent=not speed >= 0.0))
+        if missing is None and not second.enough:
+            _add(found, number, rate * max(duration_s - second.covered_s, 0.0))
     if number != open_load:
         _add(found, number, unseen.cut())
     return found, unseen

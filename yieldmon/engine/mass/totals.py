@@ -208,6 +208,11 @@ class Totals:
             load_unknown_area_kg=0.0,
         )
 
+    def start_totals(self) -> Totals:
+        """All masses 0, with a new load of the next number."""
+        number = self.load_number + 1
+        return Totals(load_number=number, first_load=number, market_moisture_pct=self.market_moisture_pct)
+
     def stop_load(self) -> Totals:
         """The load is complete; its figures stay until the next one starts."""
         return replace(self, load_open=False)

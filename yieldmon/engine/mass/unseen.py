@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from yieldmon.engine.mass.silences import Missing
+
 _LONGEST_SILENCE_S = 60.0
 """Longest silence of the bus during which the machine is assumed to have harvested on."""
 _SHORTEST_STOP_S, _LONGEST_STOP_S = 2.0, 3600.0
@@ -52,10 +54,11 @@ SAME = UnseenChange()
 @dataclass(slots=True)
 class UnseenMass:
     """Mass that may have come since the last measured second. load_kg, total_kg: standard deviations of the open load's mass and
-    of the total by all such times before."""
+    of the total by all such times before. grain_kg_s: flow of the last second with grain."""
 
     load_kg: float = 0.0
     total_kg: float = 0.0
+    grain_kg_s: float = 0.0
     _before_kg_s: float = 0.0
     _silent_s: float = 0.0
     _whole: bool = True
@@ -64,14 +67,14 @@ class UnseenMass:
     @classmethod
     def since(cls, stop: FlowAtStop) -> UnseenMass:
         """Continue from the end of an earlier run."""
-        return cls(stop.load_kg, stop.total_kg, stop.flow_kg_s, stop.silent_s, stop.whole, stop.stopped_s)
+        return cls(stop.load_kg, stop.total_kg, stop.grain_kg_s, stop.flow_kg_s, stop.silent_s, stop.whole, stop.stopped_s)
 
-    def at_stop(self, time_s: float, grain_kg_s: float) -> FlowAtStop:
-        """Inverse of `since`, at a bus time, s; grain_kg_s: flow of the last second with grain."""
+    def at_stop(self, time_s: float) -> FlowAtStop:
+        """Inverse of `since`, at a bus time, s."""
         return FlowAtStop(
             time_s=time_s,
             flow_kg_s=self._before_kg_s,
-            grain_kg_s=grain_kg_s,
+            grain_kg_s=self.grain_kg_s,
             silent_s=self._silent_s,
             whole=self._whole,
             stopped_s=self._stopped_s,
@@ -100,6 +103,17 @@ class UnseenMass:
         if stopped_s >= _SHORTEST_STOP_S:
             self._stopped_s = min(self._stopped_s + stopped_s, _LONGEST_STOP_S)
 
+    def second(
+        self, duration_s: float, rate_kg_s: float, missing: Missing | None, *, whole: bool, stands: bool, silent: bool
+    ) -> float:
+        """A further second; returns as `measured`. missing: None where it was measured. stands: so did the elevator, which brings
+        nothing. The other arguments as of `measured` and `missing`."""
+        if missing is None:
+            return self.measured(rate_kg_s, whole=whole)
+        if not (stands and missing in (Missing.ALL, Missing.ZERO_STANDING)):
+            self.missing(duration_s, whole=whole, silent=silent)
+        return 0.0
+
     def missing(self, seconds: float, *, whole: bool, silent: bool = False) -> None:
         """Another `seconds` were not measured. whole: no grain can have come in them. silent: neither sensor nor speed is
         reported; after a long silence the machine counts as switched off, like a stop."""
@@ -118,6 +132,7 @@ class UnseenMass:
         # During a stop of the daemon the machine may have stopped as well.
         between_kg_s, stopped_kg_s = 0.5 * (self._before_kg_s + rate_kg_s), min(self._before_kg_s, rate_kg_s)
         missed_kg = silent_s * between_kg_s + self._stopped_s * stopped_kg_s
+        self.grain_kg_s = rate_kg_s if rate_kg_s > 0.0 else self.grain_kg_s
         self._begin(rate_kg_s)
         return missed_kg
 
