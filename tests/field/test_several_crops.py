@@ -110,3 +110,32 @@ def test_task_data_has_a_task_for_each_crop_of_a_field(tmp_path: Path, capsys: p
     capsys.readouterr()
     with (tmp_path / "again" / "points.csv").open() as stream:
         assert {(row["field"], row["crop"]) for row in csv.DictReader(stream)} == set(expected)
+
+
+def test_a_ticket_is_held_against_those_of_its_crop_and_scales_that_crop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The monitor shows a tenth too much corn and a third too little soybean; its wheat is not weighed."""
+    factor = {"corn": 0.9, "soybean": 1.5}
+    flows = [("corn", 12.0)] * 5 + [("soybean", 5.0)] * 2 + [("wheat", 8.0)]
+    harvest(tmp_path / "h.csv", [("north", crop, flow) for crop, flow in flows])
+    rows = [f"{n},{factor[flows[n - 1][0]] * flows[n - 1][1] * PASS_S}" for n in (1, 2, 3, 4, 6)]
+    (tmp_path / "t.csv").write_text("load,weighed_kg\n" + "\n".join(rows))
+    found, _ = mapped(tmp_path, capsys, "--products", "none", "--tickets", str(tmp_path / "t.csv"))
+    assert {int(load["load"]): load["factor"] for load in found["loads"]} == pytest.approx(
+        {n: factor.get(crop, 1.0) for n, (crop, _) in enumerate(flows, 1)}, rel=2e-3
+    )
+    said = "as measured, for no weighed load is of the same crop and calibration: load 8"
+    assert [note for note in found["notes"] if "ticket" in note or "weighed" in note] == [said]
+    # How far the others are off: 0.1 four times, 0.5 once.
+    off_kg = 8.0 * PASS_S * math.sqrt((4 * 0.1**2 + 0.5**2) / 5)
+    mass = found["mass_kg"]
+    assert mass["high"] - mass["corrected"] == pytest.approx(1.96 * off_kg, rel=0.1)
+
+
+def test_a_ticket_for_loads_of_two_crops_scales_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    harvest(tmp_path / "h.csv", [("north", "corn", 10.0)] * 3 + [("north", "soybean", 5.0)] * 2)
+    (tmp_path / "t.csv").write_text(f"load,weighed_kg\n1,{9.0 * PASS_S}\n3-4,{18.0 * PASS_S}\n")
+    found, _ = mapped(tmp_path, capsys, "--products", "none", "--tickets", str(tmp_path / "t.csv"))
+    factors = {int(load["load"]): load["factor"] for load in found["loads"]}
+    assert factors == pytest.approx({1: 0.9, 2: 0.9, 3: 1.2, 4: 1.2, 5: 1.0}, rel=2e-3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, log
 
@@ -30,7 +30,7 @@ class HeldTicket:
 
 
 def contradictions(
-    tickets: Sequence[HeldTicket], measured_kg: Mapping[int, float], owner: Mapping[int, int]
+    tickets: Sequence[HeldTicket], measured_kg: Mapping[int, float], kind: Mapping[int, Hashable]
 ) -> tuple[frozenset[int], tuple[str, ...]]:
     """Which tickets are left out, and lines on these, on pairs of which either may be wrong, and on one or two that are far from
     what was measured.
@@ -41,8 +41,8 @@ def contradictions(
         One at most for each load.
     measured_kg : mapping of int to float
         By the place of each load.
-    owner : mapping of int to int
-        The machine of each load: they are held against others of the same one.
+    kind : mapping of int to hashable
+        Of each load: its ticket is held against those of loads of the same one.
 
     Returns
     -------
@@ -50,11 +50,11 @@ def contradictions(
         Places in `tickets`.
     lines : tuple of str
     """
-    by_owner: dict[int, list[int]] = {}
+    by_kind: dict[Hashable, list[int]] = {}
     for number, ticket in enumerate(tickets):
-        by_owner.setdefault(owner[ticket.loads[0]], []).append(number)
+        by_kind.setdefault(frozenset(kind[load] for load in ticket.loads), []).append(number)
     left_out, lines = set[int](), list[str]()
-    for numbers in by_owner.values():
+    for numbers in by_kind.values():
         factors = [tickets[n].mass_kg / sum(measured_kg[load] for load in tickets[n].loads) for n in numbers]
         off = unlike_the_others(-np.log(factors))
         usual = exp(float(np.median(np.log(factors)[~off]))) if off.any() else 1.0

@@ -17,7 +17,9 @@ from yieldmon.files.ticket_parts import with_parts_added
 from .contradictions import HeldTicket, contradictions
 from .mixed import mixed_loads
 from .placed import measured_mass_kg
+from .row_crops import row_crops
 from .table import UNKNOWN_SCALE_SD, Array, HarvestTable
+from .units import crop
 
 ALL = "all"
 """As the machine of a ticket: all that have a load of this name."""
@@ -60,9 +62,10 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
     """What weighed loads make of a harvest.
 
     A weighed load takes its own factor, one that its source has corrected the source's; any other takes that of all weighed loads
-    of its machine together, or where it has none of all machines', with the spread between them. Loads of one name that several
-    machines have are one for each machine, unless a ticket says that they filled it together. A ticket that the others of its
-    machine contradict is left out. Parts of a load are added where the tickets say that they are parts.
+    of its machine, crop and scale together, or where its machine has none of all machines' of its crop, with the spread between
+    them. Where only other crops or scales were weighed it stays as measured, with how far off those were. Loads of one name that
+    several machines have are one for each machine, unless a ticket says that they filled it together. A ticket that the others
+    of its machine, crop and scale contradict is left out. Parts of a load are added where the tickets say that they are parts.
 
     Raises
     ------
@@ -87,18 +90,22 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
     given = with_parts_added((ticket, _held(ticket, found, measured)) for ticket in tickets)
     held = [HeldTicket(ticket.name, ticket.mass_kg, places) for ticket, places in given]
     _refuse_mixed({loads[load][0] for ticket in held for load in ticket.loads} - together, label.names, table)
-    owner_of = {place: owner for place, (_, owner) in enumerate(loads)}
-    left_out, notes = contradictions(held, dict(enumerate(measured.tolist())), owner_of)
+    kinds = _kinds(loads, codes, measured, firsts, table)
+    left_out, notes = contradictions(held, dict(enumerate(measured.tolist())), kinds)
     kept = [pair for number, pair in enumerate(given) if number not in left_out]
     weighed = _by_load(kept, measured)
+    mixed = {load for _, places in kept if len({kinds[load].grain for load in places}) > 1 for load in places}
     factors = {load: mass.kg / measured[load] for load, mass in weighed.items()}
     corrected = [table.sources[table.source_of_row[row]].known_loads.get(label.names[label.codes[row]]) for row in firsts]
-    known_of: dict[int | None, list[tuple[float, float]]] = {None: []}
-    for load in weighed:
-        known_of[None].append((factors[load], measured[load]))
+    known_of: dict[_Kind | tuple[str, str], list[tuple[float, float]]] = {}
+    for load in weighed.keys() - mixed:
+        known_of.setdefault(kinds[load].grain, []).append((factors[load], measured[load]))
         if loads[load][0] not in together:
-            known_of.setdefault(loads[load][1], []).append((factors[load], measured[load]))
-    common_of = {owner: _common(known) for owner, known in known_of.items()}
+            known_of.setdefault(kinds[load], []).append((factors[load], measured[load]))
+    common_of = {kind: _common(known) for kind, known in known_of.items()}
+    own = {loads[load][1] for load in weighed if loads[load][0] not in together}
+    as_measured = 1.0, _how_far_off([factors[load] for load in weighed])
+    unlike: list[str] = []
     results = []
     for load, (number, owner) in enumerate(loads):
         shared = number not in together and sum(one == number for one, _ in loads) > 1
@@ -111,10 +118,44 @@ def correct(table: HarvestTable, tickets: Sequence[WeighedTicket]) -> Corrected:
                 LoadResult(name, float(measured[load]), known.weighed_kg, known.factor, known.factor_sd, known.common_sd)
             )
         else:
-            common, spread = common_of.get(owner, common_of[None])
+            others = None if owner in own else common_of.get(kinds[load].grain)
+            common, spread = common_of.get(kinds[load], others or as_measured)
             spread = UNKNOWN_SCALE_SD if spread is None and any(corrected) else spread
+            if weighed and measured[load] > 0.0 and kinds[load] not in common_of and others is None:
+                unlike.append(f"load {name}" if name else "grain of no load")
             results.append(LoadResult(name, float(measured[load]), None, common, spread))
+    if unlike:
+        notes += (f"as measured, for no weighed load is of the same crop and calibration: {', '.join(unlike)}",)
     return Corrected(np.array([one.factor for one in results] or [1.0])[codes], tuple(results), notes)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Loads that share a factor. grain: their crop, and the scale that they were measured with where their source tells it."""
+
+    owner: int
+    grain: tuple[str, str]
+
+
+def _kinds(
+    loads: Sequence[tuple[int, int]], codes: NDArray[np.intp], measured: Array, firsts: NDArray[np.intp], table: HarvestTable
+) -> dict[int, _Kind]:
+    """Of each load, by its place. firsts: its first row."""
+    crops, names = row_crops(table), table.labels["load"].names
+    count = max(len(crops.names), 1)
+    masses_kg = np.bincount(codes.reshape(-1) * count + crops.codes, measured_mass_kg(table), len(loads) * count)
+    crop_of = masses_kg.reshape(-1, count).argmax(axis=1) if len(loads) else []
+    found = {}
+    for load, (number, owner) in enumerate(loads):
+        facts = crop(crops.names[crop_of[load]])
+        scale = table.sources[table.source_of_row[firsts[load]]].scales.get(names[number], "")
+        found[load] = _Kind(owner, (crops.names[crop_of[load]].lower() if facts is None else facts.name, scale))
+    return found
+
+
+def _how_far_off(factors: Sequence[float]) -> float | None:
+    """Standard deviation of a factor that is taken for 1, by others that are not; None without any."""
+    return max(float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))), UNKNOWN_SCALE_SD) if factors else None
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,8 @@ class Source:
         Whether the source says that its delays have been taken out of its rows.
     known_loads : mapping of str to KnownLoad
         Loads by name that the source itself has corrected; its rows are as measured.
+    scales : mapping of str to str
+        Load -> the scale that it was measured with, where the source tells it.
     date_order : DateOrder or None
         Of dates in which day and month could be exchanged; None for none.
     """
@@ -141,6 +143,7 @@ class Source:
     default_flow_s: float = 0.0
     taken_out: bool = False
     known_loads: Mapping[str, KnownLoad] = field(default_factory=dict)
+    scales: Mapping[str, str] = field(default_factory=dict)
     date_order: DateOrder | None = None
 
 

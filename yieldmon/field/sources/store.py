@@ -24,6 +24,7 @@ from yieldmon.service.tickets.ticket_history import TicketHistory
 from .columns.crop_names import crop_names
 from .columns.positions import plausible
 from .options import ReadOptions
+from .store_scales import load_scales
 
 KIND = "yieldmon store"
 ORDER = 20
@@ -45,10 +46,11 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             rows = store.seconds()
             loads = {load.number: load for load in store.loads()}
             known = known_loads(store)
+            scales = load_scales(rows, store.parameter_versions(), str(path))
     except (UnicodeError, sqlite3.Error) as error:
         raise InputError(str(path), f"is damaged: {error}", "a daemon's store") from error
     table = table_of(rows, loads, path, KIND, options)
-    return replace(table, sources=tuple(_with_loads(source, known) for source in table.sources))
+    return replace(table, sources=tuple(replace(_with_loads(source, known), scales=scales) for source in table.sources))
 
 
 def known_loads(store: Store) -> dict[str, KnownLoad]:
