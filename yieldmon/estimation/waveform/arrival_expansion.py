@@ -25,6 +25,8 @@ _CELLS_KEPT = 256
 _LARGEST_ERROR = 1e-3
 """Largest error of an expansion at two corners of its cell: of the impulse, relative, and of arrival times in units of the
 pulse's standard deviation."""
+_SMALL = 1e-4
+"""Argument below which sin(x) / x is computed by its series."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,57 +175,70 @@ def spectrum_and_slopes(
     ndarray (1 + n, pulses, k)
         Complex, N s: the spectrum, then its derivatives.
     """
-    impulse, middle, half = (_padded(v, len(log_stretch_slopes)) for v in (parts.impulse_n_s, parts.middle_s, parts.half_width_s))
+    impulse, middle, half = parts.impulse_n_s, parts.middle_s, parts.half_width_s
     size = impulse[0].sum(axis=-1, keepdims=True)
     weight = impulse[0] / size
     mean = (weight * middle[0]).sum(axis=-1, keepdims=True)
     away, share = middle[0] - mean, impulse[1:] / size
-    # Derivatives of the mean arrival through impulses and times of the parts.
+    # Derivatives of the mean arrival through impulses and times of the parts, which the first parameters alone change.
     mean_slopes = (share * away + weight * middle[1:]).sum(axis=-1, keepdims=True)
-    factor, slopes = stretch[:, None], log_stretch_slopes[..., None]
-    middle_slopes = mean_slopes + factor * (middle[1:] - mean_slopes + slopes * away)
-    half_slopes = factor * (half[1:] + slopes * half[0])
+    factor, slopes, given = stretch[:, None], log_stretch_slopes[..., None], len(mean_slopes)
+    middle_slopes = factor * (slopes * away)
+    middle_slopes[:given] += mean_slopes + factor * (middle[1:] - mean_slopes)
+    half_slopes = factor * (slopes * half[0])
+    half_slopes[:given] += factor * half[1:]
     base = fundamental_rad_s[:, None]
     order = np.arange(1.0, harmonics + 1.0)
     turn_cos, turn_sin = _multiples(-base * (mean + factor * away), harmonics)
     width = base * (factor * half[0])
     wide_cos, wide_sin = _multiples(width, harmonics)
-    # sin(x) / x and its derivative; for small x by their series, since differences would lose precision.
-    spread = order[:, None] * width[:, None, :]
-    thin = np.abs(spread) < 1e-4
-    safe = np.where(thin, 1.0, spread)
-    sinc = np.where(thin, 1.0 - spread * spread / 6.0, wide_sin / safe)
-    slope = np.where(thin, -spread / 3.0, (wide_cos - sinc) / safe)
+    sinc, slope = _sinc_and_slope(order[:, None, None] * width, wide_sin, wide_cos)
     rows = np.concatenate((impulse, impulse[0] * middle_slopes)).transpose(1, 2, 0)
-    by_node = _of_turns(turn_cos, turn_sin, sinc, rows)
-    by_half = _of_turns(turn_cos, turn_sin, slope, (impulse[0] * half_slopes).transpose(1, 2, 0))
-    found = by_node[..., : len(impulse)]
-    frequency = base * order
-    found[..., 1:] += frequency[..., None] * (by_half - 1j * by_node[..., len(impulse) :])
+    node_cos, node_sin = _of_turns(turn_cos, turn_sin, sinc, rows)
+    half_cos, half_sin = _of_turns(turn_cos, turn_sin, slope, (impulse[0] * half_slopes).transpose(1, 2, 0))
+    frequency, known = (base * order)[..., None], 1 + given
+    found = np.zeros((*half_cos.shape[:-1], 1 + len(slopes)), dtype=complex)
+    found.real[..., :known], found.imag[..., :known] = node_cos[..., :known], node_sin[..., :known]
+    # A later arrival turns the spectrum by -i times the frequency.
+    found.real[..., 1:] += frequency * (half_cos + node_sin[..., known:])
+    found.imag[..., 1:] += frequency * (half_sin - node_cos[..., known:])
     return np.asarray(np.moveaxis(found, -1, 0))
 
 
+def _sinc_and_slope(x: Array, sine: Array, cosine: Array) -> tuple[Array, Array]:
+    """sin(x) / x and its derivative; for small x by their series, since differences would lose precision."""
+    thin = np.abs(x) < _SMALL
+    if not thin.any():
+        sinc = sine / x
+        return sinc, (cosine - sinc) / x
+    safe = np.where(thin, 1.0, x)
+    sinc = np.where(thin, 1.0 - x * x / 6.0, sine / safe)
+    return sinc, np.where(thin, -x / 3.0, (cosine - sinc) / safe)
+
+
 def _multiples(angles: Array, count: int) -> tuple[Array, Array]:
-    """Cosine and sine of 1 .. count times angles (p, n), each (p, count, n)."""
-    cosine, sine = (np.empty((len(angles), count, angles.shape[1])) for _ in range(2))
-    cosine[:, 0], sine[:, 0] = np.cos(angles), np.sin(angles)
+    """Cosine and sine of 1 .. count times angles (p, n), each (count, p, n)."""
+    cosine, sine = np.empty((2, count, *angles.shape))
+    np.cos(angles, out=cosine[0])
+    np.sin(angles, out=sine[0])
     known = 1
     while known < count:
         more = min(known, count - known)
-        c, s, last_c, last_s = cosine[:, :more], sine[:, :more], cosine[:, known - 1 : known], sine[:, known - 1 : known]
-        cosine[:, known : known + more] = c * last_c - s * last_s
-        sine[:, known : known + more] = s * last_c + c * last_s
+        c, s, last_c, last_s = cosine[:more], sine[:more], cosine[known - 1], sine[known - 1]
+        next_c, next_s = cosine[known : known + more], sine[known : known + more]
+        np.multiply(c, last_c, out=next_c)
+        next_c -= s * last_s
+        np.multiply(s, last_c, out=next_s)
+        next_s += c * last_s
         known += more
     return cosine, sine
 
 
-def _of_turns(cosine: Array, sine: Array, size: Array, rows: Array) -> AnyArray:
-    """Sums over nodes of size * (cosine + i sine) * rows, (p, k, m). cosine, sine, size: (p, k, n); rows: (p, n, m)."""
+def _of_turns(cosine: Array, sine: Array, size: Array, rows: Array) -> tuple[Array, Array]:
+    """Real and imaginary part of sums over nodes of size * (cosine + i sine) * rows, (p, k, m).
+
+    cosine, sine, size: (k, p, n); rows: (p, n, m).
+    """
     rows = np.ascontiguousarray(rows)
-    return np.asarray((cosine * size) @ rows + 1j * ((sine * size) @ rows))
-
-
-def _padded(values: Array, parameters: int) -> Array:
-    """Values with zero derivatives appended for the parameters that do not change the parts."""
-    more = np.zeros((1 + parameters - len(values), *values.shape[1:]))
-    return np.concatenate((values, more))
+    real, imag = ((part * size).transpose(1, 0, 2) @ rows for part in (cosine, sine))
+    return np.asarray(real), np.asarray(imag)

@@ -267,7 +267,11 @@ class PulseModel:
     def waves(self, theta: Array, elevator_speed_rad_s: float, plate_angle_rad: float) -> AnyArray:
         """Harmonics (k,) of the pattern, N."""
         shapes = self.shapes(theta[None, :SHAPE_COUNT], elevator_speed_rad_s, plate_angle_rad)
-        return np.asarray(self.joined(shapes, theta[None], np.array([elevator_speed_rad_s]))[1][0].sum(axis=0))
+        return np.asarray(self.waves_behind_cell(shapes, theta[None], np.array([elevator_speed_rad_s]))[0])
+
+    def waves_behind_cell(self, shapes: AnyArray, theta: Array, speeds_rad_s: Array) -> AnyArray:
+        """Harmonics (m, k) of the pattern, N, from spectra before the cell (m, paddles, k); theta: (m, n), speeds_rad_s: (m,)."""
+        return np.asarray(self.joined(shapes, theta, speeds_rad_s)[1].sum(axis=1))
 
     def linearised(self, theta: Array, speeds_rad_s: Array, angles_rad: Array) -> Linear:
         """Harmonics and their derivatives: the throw's by an expansion (`ArrivalExpansions`), the rest in closed form.

@@ -84,7 +84,7 @@ def estimate_near(
         theta = np.tile(pulses.start(1.0), (flows.size, 1))
         theta[:, FLOW] = np.log(flows)
         thrown = pulses.thrown(theta[:, :SHAPE_COUNT], shown.speeds_rad_s, shown.angles_rad)
-        theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.behind_cell(thrown, theta, shown.speeds_rad_s).waves)
+        theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.waves_behind_cell(thrown[0], theta, shown.speeds_rad_s))
         begun = pulses.behind_cell(thrown, theta, shown.speeds_rad_s)
         found += fitted(pulses, shown, theta, _own_centres(pulses, theta), iterations, begun)
     return found
@@ -124,7 +124,7 @@ def deviations_from(
     """
     shown, theta = WaveBatch.of([wave]), pulses.start(volume_flow_m3_s)[None]
     thrown = pulses.thrown(theta[:, :SHAPE_COUNT], shown.speeds_rad_s, shown.angles_rad)
-    theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.behind_cell(thrown, theta, shown.speeds_rad_s).waves)
+    theta[:, SHIFT], theta[:, GAIN] = _aligned(pulses, shown, pulses.waves_behind_cell(thrown[0], theta, shown.speeds_rad_s))
     free = np.array([found.values[name] for name in pulses.names])
     mean = _own_centres(pulses, theta)
     if not np.all(np.isfinite(theta[0, [SHIFT, GAIN]])):
