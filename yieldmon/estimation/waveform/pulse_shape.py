@@ -21,7 +21,7 @@ from .pulse_model import FLOW, GAIN, SHAPE_COUNT, SHIFT, PulseModel
 _SCAN = np.geomspace(0.06, 0.9, 16)
 """Fills (ratio of load to a full paddle) that are tried as a start."""
 _SHIFTS = 256
-_SIDE_BY_SIDE = 64
+_SIDE_BY_SIDE = 128
 """Number of windows fitted at once: large enough for efficient array operations, small enough for the cache."""
 _INDEX_REACH_S = 0.015
 
