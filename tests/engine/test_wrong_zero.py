@@ -423,6 +423,32 @@ def test_the_zero_of_a_new_sensor_is_taken_by_force_and_is_not_suspect() -> None
     assert target.totals.total_kg - before == pytest.approx(14.0 * 60.0, rel=0.03)
 
 
+@pytest.mark.parametrize("again_s", [1064.0, 1085.0], ids=["with the elevator empty", "in grain"])
+def test_a_zero_taken_too_early_is_put_right_by_one_with_the_elevator_empty_alone(again_s: float) -> None:
+    """The plate is changed after the grain; a zero is forced at once, and again later."""
+    bench = Bench(
+        zero=lambda t: ZERO_MV if t < 1041.0 else ZERO_MV + 100.0,
+        flow=lambda t: 14.0 if 1020.0 <= t < 1040.0 or t >= 1080.0 else 0.0,
+        scatter=0.05,
+        noise_mv=2.0,
+    )
+    frames, target = bench.frames(160), monitor()
+    feed(target, run_of([f for f in frames if f.time_s < 1043.0]))
+    with pytest.raises(InputError, match="zero: there is grain: the paddle pulses have an amplitude of 2 mV and"):
+        ask(target, "zero")
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if 1043.0 <= f.time_s < again_s]))
+    assert FaultCode.ZERO_DRIFTED in target.faults.active
+    ask(target, "zero", force=True)
+    feed(target, run_of([f for f in frames if again_s <= f.time_s < 1110.0]))
+    before = target.totals.total_kg
+    feed(target, run_of([f for f in frames if f.time_s >= 1110.0]))
+    empty = again_s < 1080.0
+    assert (FaultCode.ZERO_DRIFTED in target.faults.active) is not empty
+    assert (target.totals.total_kg - before == pytest.approx(14.0 * 50.0, rel=0.05)) is empty
+    assert all(row.std_dev_kg_s < 1.0 for row in target.records if row.time_s > 1110.0) is empty  # type: ignore[attr-defined]
+
+
 def test_grain_that_a_zero_far_above_the_empty_plate_hides_was_not_measured() -> None:
     bench = replace(
         NEW_SENSOR, zero=lambda t: ZERO_MV if t < 1020.0 else ZERO_MV - 100.0, flow=lambda t: 5.0 if t >= 1060.0 else 0.0

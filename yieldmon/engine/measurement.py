@@ -108,10 +108,10 @@ class Measurement:
     """Reads windows in order; keeps the state that the next one needs: zero, gate and counts."""
 
     def __init__(self, settings: EngineSettings, machine: Machine, sources: Sources) -> None:
-        self.zero = ZeroTracker(settings.zero)
+        slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
+        self.zero = ZeroTracker(settings.zero, sees_pulses=not slow)
         self._settings = settings
         self._machine = machine
-        slow = any(source.rate_hz < ALIAS_FREE_HZ for source in sources.impact)
         self._aliasing = sources.impact if slow else ()
         """Sensors too slow to sample the pulses without aliasing."""
         self._empty_spells = EmptySpells()

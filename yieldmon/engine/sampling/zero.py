@@ -72,8 +72,10 @@ class ZeroRefusal:
 class ZeroTracker:
     """Finds and follows the zero. `state` is None until there is one."""
 
-    def __init__(self, settings: ZeroSettings) -> None:
+    def __init__(self, settings: ZeroSettings, *, sees_pulses: bool = True) -> None:
+        """sees_pulses: whether the sensor is fast enough for grain to show in pulses."""
         self._settings = settings
+        self._sees_pulses = sees_pulses
         self._state: ZeroState | None = None
         self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
         self._pattern: tuple[tuple[float, ...], float] | None = None
@@ -82,6 +84,8 @@ class ZeroTracker:
         """Vibration and speed that `_pattern` was compared with; whether it is above; whether it is above or below."""
         self._calibrating = False
         self._against_signs = False
+        self._after_suspect = False
+        """Whether the zero in use was suspect when the operator's calibration began."""
         self._despite_signs = False
         self._before: ZeroState | None = None
         self._before_known_s: float | None = None
@@ -106,8 +110,7 @@ class ZeroTracker:
         goes_on = self.suspect and self._before is not None
         self._calibrating = True
         self._despite_signs = despite_signs
-        # With a suspect zero, signs of an empty elevator are unreliable.
-        self._against_signs = against_signs or goes_on
+        self._against_signs, self._after_suspect = against_signs, goes_on
         if not goes_on:
             self._before, self._before_known_s = self._state, self.known_s
         self.level_is_empty = despite_signs and self.looks_empty
@@ -289,10 +292,11 @@ class ZeroTracker:
         self._pattern = self._compared = None
         if self._calibrating:
             if len(self._recent) == self._settings.settle_windows:
+                against_signs = self._against_signs or (self._after_suspect and not self._empty_by_before())
                 self._state = self._measured(list(self._recent))
                 self._calibrating, self.far_mv = False, 0.0
                 away_mv = abs(self._state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
-                self.suspect = self._against_signs and away_mv > self._settings.level_range_mv
+                self.suspect = against_signs and away_mv > self._settings.level_range_mv
                 self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
         elif may_be_empty and self._state is None:
             self._first(list(self._recent)[-self._settings.first_zero_windows :])
@@ -303,6 +307,11 @@ class ZeroTracker:
                 self._measure_vibration(self._state)
         elif self._state is None:
             self.lack(window, "the machine is cutting, by header and work state")
+
+    def _empty_by_before(self) -> bool:
+        """Whether the last windows look empty by the vibration of the zero before. That of a suspect zero may be of grain."""
+        before = self._before
+        return self._sees_pulses and before is not None and bool(before.vibration_mv) and self._departure(before) == (False, False)
 
     def _first(self, windows: list[Window]) -> None:
         if len(windows) < self._settings.first_zero_windows:
