@@ -56,6 +56,26 @@ def test_when_ground_counts(inputs: dict[str, float], grain: bool, expected: flo
     assert area == pytest.approx(expected, nan_ok=True)
 
 
+@pytest.mark.parametrize("says_up", [{"header_down": 0.0}, {"work_state": 0.0}], ids=["header", "work state"])
+@pytest.mark.parametrize("delay_s", [0.0, 12.0])
+def test_no_area_is_known_once_grain_comes_long_after_the_header_went_up(delay_s: float, says_up: dict[str, float]) -> None:
+    """With its signal inverted the headland was the area of the passes."""
+    emptied_s = int(delay_s + GateSettings().emptying_s)
+    down = dict.fromkeys(says_up, 1.0)
+    # A pass of 200 s, a headland of 40 s, in which the last grain comes for 15 s, and a pass; then the signal is put right.
+    reported = [
+        {"ground_speed": SPEED_M_S, **(down if 200 <= second < 240 or second >= 440 else says_up)} for second in range(640)
+    ]
+    areas = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=delay_s), reported, [not 215 <= n < 240 for n in range(640)])
+    known_s = 440 + emptied_s + 1
+    assert [n for n, area in enumerate(areas) if not isnan(area)] == [*range(int(delay_s), emptied_s + 1), *range(known_s, 640)]
+    assert areas[known_s:] == [WIDTH_M * SPEED_M_S] * (640 - known_s)
+    # A machine that runs empty and drives on cuts nothing.
+    up = [{"ground_speed": SPEED_M_S, **says_up}] * 200
+    areas = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=delay_s), up, [n < 20 for n in range(200)])
+    assert areas[int(delay_s) :] == [0.0] * (200 - int(delay_s))
+
+
 LEAST_M_S = GateSettings().min_ground_speed_m_s
 
 

@@ -121,7 +121,8 @@ def test_no_first_zero_while_the_machine_may_hold_grain() -> None:
     refusal = machine.tracker.refusal
     assert machine.zero_mv is None
     assert refusal is not None
-    assert (refusal.waited_s, refusal.obstacle) == (4.0, "the machine is cutting, by header and work state")
+    cutting = "the machine is cutting, by header and work state (check them if it is not)"
+    assert (refusal.waited_s, refusal.obstacle) == (4.0, cutting)
     assert machine.sees(ZERO_MV).zero_mv == ZERO_MV
 
 

@@ -2,14 +2,16 @@
 
 Grain reaches the plate some seconds after the header has cut it (`Implement.grain_delay_s`). The area counted with a second is
 the area cut that long before, so mass over area is a yield at any moment, and load by load. Where the bus reports the header up
-or the drives off, nothing is cut; where it reports neither, the area driven counts while grain comes.
+or the drives off, nothing is cut; where it reports neither, the area driven counts while grain comes. Grain that comes when the
+machine should long have run empty contradicts the header, as where its signal is inverted: no area is known from then on, until
+grain has come as long with the header down.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import NamedTuple
 
 from yieldmon.engine.inputs import InputSnapshot
@@ -33,10 +35,15 @@ class AreaCounter:
         self._width_m = implement.working_width_m
         self._delay_s = implement.grain_delay_s or 0.0
         self._min_speed_m_s = gate.min_ground_speed_m_s
+        self._emptied_s = self._delay_s + gate.emptying_s
+        """From the header's going up until no grain comes."""
+        self._up_since_s = self._grain_since_s = inf
+        self._contradicted = False
         self._cuts: deque[_Cut] = deque()
 
     def second(self, end_s: float, duration_s: float, inputs: InputSnapshot, *, grain_comes: bool) -> float:
-        """Area that belongs to the grain of a second, m2; nan where width or ground speed was not known.
+        """Area that belongs to the grain of a second, m2; nan where width or ground speed was not known, or the grain contradicts
+        the header.
 
         Parameters
         ----------
@@ -47,17 +54,27 @@ class AreaCounter:
         grain_comes : bool
             Whether grain is measured in it.
         """
-        self._cuts.append(self._cut(end_s, inputs.fresh))
+        idle = inputs.fresh["header_down"] == HeaderDown.UP or inputs.fresh["work_state"] == WorkState.NOT_WORKING
+        self._compare(end_s, idle=idle, grain_comes=grain_comes)
+        self._cuts.append(self._cut(end_s, inputs.fresh, idle=idle))
         while len(self._cuts) > 1 and self._cuts[1].end_s <= end_s - self._delay_s:
             self._cuts.popleft()
         cut = self._cuts[0]
-        if cut.end_s > end_s - self._delay_s:
+        if cut.end_s > end_s - self._delay_s or self._contradicted:
             return nan
         return cut.rate_m2_s * duration_s if cut.by_header or grain_comes or not isfinite(cut.rate_m2_s) else 0.0
 
-    def _cut(self, end_s: float, fresh: Mapping[str, float]) -> _Cut:
+    def _compare(self, end_s: float, *, idle: bool, grain_comes: bool) -> None:
+        """Compare header and drives with the grain."""
+        self._up_since_s = min(self._up_since_s, end_s) if idle else inf
+        self._grain_since_s = min(self._grain_since_s, end_s) if grain_comes and not idle else inf
+        if grain_comes and end_s - self._up_since_s > self._emptied_s:
+            self._contradicted = True
+        elif end_s - self._grain_since_s > self._emptied_s:
+            self._contradicted = False
+
+    def _cut(self, end_s: float, fresh: Mapping[str, float], *, idle: bool) -> _Cut:
         header, work, speed_m_s = fresh["header_down"], fresh["work_state"], fresh["ground_speed"]
-        idle = header == HeaderDown.UP or work == WorkState.NOT_WORKING
         if idle or speed_m_s < self._min_speed_m_s:
             return _Cut(end_s, 0.0 if self._width_m is not None else nan, by_header=True)
         width_m = nan if self._width_m is None else self._width_m

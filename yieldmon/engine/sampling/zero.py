@@ -306,12 +306,14 @@ class ZeroTracker:
             else:
                 self._measure_vibration(self._state)
         elif self._state is None:
-            self.lack(window, "the machine is cutting, by header and work state")
+            self.lack(window, "the machine is cutting, by header and work state (check them if it is not)")
 
     def _empty_by_before(self) -> bool:
         """Whether the last windows look empty by the vibration of the zero before. That of a suspect zero may be of grain."""
         before = self._before
-        return self._sees_pulses and before is not None and bool(before.vibration_mv) and self._departure(before) == (False, False)
+        if before is None or not before.vibration_mv or not self._sees_pulses:
+            return False
+        return self._departure(before) == (False, False)
 
     def _first(self, windows: list[Window]) -> None:
         if len(windows) < self._settings.first_zero_windows:
