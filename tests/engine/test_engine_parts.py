@@ -119,6 +119,9 @@ def test_totals_refuse_what_is_no_mass(mass: float) -> None:
         (0.0, False, None),
         (0.15, True, None),
         (3.0, True, 114.792899),
+        (60.0, False, 47.337278),
+        (61.0, False, None),
+        (99.0, False, None),
     ],
 )
 def test_dry_mass(moisture: float, credit: bool, expected: float | None) -> None:

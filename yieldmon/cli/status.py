@@ -160,7 +160,7 @@ def _load(load: StatusLoad, crop: StatusCrop, units: Units) -> Iterator[tuple[st
     names = " ".join(name for name in (load["field"], load["crop"]) if name)
     spread = load["std_dev_kg"]
     around = f" ± {units.mass(spread)}" if spread is not None else ""
-    dry = "dry mass not known (moisture was missing or implausibly low for part of it)"
+    dry = "dry mass not known (moisture was missing or implausible for part of it)"
     if load["dry_mass_kg"] is not None:
         dry = f"{units.mass_with_bushels(load['dry_mass_kg'])} dry, at {crop['market_moisture_pct']:g} % moisture"
     title = f"{load['number']}{'' if load['open'] else ' (closed)'}{' ' if names else ''}{names}"

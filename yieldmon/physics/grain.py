@@ -20,6 +20,8 @@ EXCHANGE_FORM = ("k1", "k2")
 """Parameters of the impact gain k1 M / M_full + k2 [8.23]."""
 DRIEST_PCT = 2.0
 """Moisture, wet basis, below which no grain is harvested: a meter at 0 has none to measure, or sends a share of 1."""
+WETTEST_PCT = 60.0
+"""Moisture, wet basis, above which no grain is threshed: a meter's short circuit, or its error value."""
 FLOW_PER_MOISTURE_PCT = 0.02
 """Relative change of the flow by a point of moisture that the parameters do not follow."""
 

@@ -11,7 +11,7 @@ from yieldmon.engine.mass.budget import EMPTY, NO_BUDGET, FlowBudget, MassBudget
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.unseen import UnseenMass
 from yieldmon.engine.settings import TotalsSettings
-from yieldmon.physics.grain import DRIEST_PCT
+from yieldmon.physics.grain import DRIEST_PCT, WETTEST_PCT
 
 CORN_MARKET_MOISTURE_PCT = 15.5
 """Used where neither the configuration nor a crop gives another."""
@@ -229,7 +229,7 @@ def dry_mass(
 
     market_moisture_pct: where the settings name none.
     """
-    if not isfinite(moisture_pct) or moisture_pct < DRIEST_PCT:
+    if not DRIEST_PCT <= moisture_pct <= WETTEST_PCT:
         return None
     given = settings.moisture_reference_pct
     factor = (100.0 - moisture_pct) / (100.0 - (market_moisture_pct if given is None else given))
