@@ -97,6 +97,6 @@ def _row(
         -float(by_friction @ residual) / size,
         1.0 / size / values["friction"],
         float(residual @ residual) / (count - 1),
-        float(np.sqrt(problem.flow_covariances[0][0, 0])),
+        float(np.sqrt(solution.flow_covariances[0][0, 0])),
         float(np.std(flow) / np.mean(flow)),
     )

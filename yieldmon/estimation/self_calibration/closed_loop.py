@@ -348,7 +348,7 @@ def _flows(problem: ClosedLoopProblem, solution: Solution) -> tuple[FlowPosterio
         extra = 0.0
         if problem.settings.flow == "process":
             # The mean of the process, given the residuals. It is correlated with the level, so both are added.
-            covariance = problem.flow_covariances[i]
+            covariance = solution.flow_covariances[i]
             gain = solution.whiteners[i] @ (problem.elastic(unknown)[rows, None] * covariance)
             level -= float((gain.T @ solution.residual[rows]).mean())
             gradient -= gain.mean(axis=1) @ solution.jacobian[rows]

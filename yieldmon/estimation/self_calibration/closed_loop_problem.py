@@ -7,63 +7,34 @@ if there are several sweeps, to which it is common. For a single sweep that erro
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.clusters import cluster
-from yieldmon.estimation.fitting.batch import MomentumBatch
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
-from yieldmon.estimation.open_loop import OpenLoop
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior, physical_bounds, search_bounds
 from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.machine import SAME_ANGLE_RAD
-from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
 from .closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from .flow_process import correlation, process_sd
+from .window_forces import Forces, UnknownLayout, WindowForces
 
 _LEAST_FLOW_KG_S, _LARGEST_FLOW_KG_S = 1e-3, 1e3
 _AT_END = 1e-6
 """Distance of ln(flow) from the least flow within which a search has ended there."""
-_FOLLOWED = 1e-4
-"""Relative size of a Newton step of the flows after which the remaining error is that of rounding."""
-_NEWTON_STEPS = 4
 _LARGEST_ERROR = 0.9
 """Largest relative error of the model at an angle."""
 _LEAST_GAIN = 1e-8
 """Least decrease of chi-square for a further step, as of one by 1e-4 standard deviations."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Forces:
-    """Force of the windows (N,), its derivatives with respect to parameters (N, n) and flow (N,), and the flow (N,)."""
-
-    force: Array
-    by_theta: Array
-    by_load: Array
-    load: Array
-
-
-@dataclass(frozen=True, slots=True)
-class _WeighedFlows:
-    """Flows that explain the forces of the weighed loads' windows (w,), their derivatives (w, n), and the parameters there
-    (n,)."""
-
-    flow: Array
-    by_theta: Array
-    theta: Array
-
-    def at(self, theta: Array) -> Array:
-        """Approximate flows with other parameters."""
-        return np.clip(self.flow + self.by_theta @ (theta - self.theta), 0.5 * self.flow, 2.0 * self.flow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +51,8 @@ class Solution:
         Of the unknown, by Laplace's approximation.
     whiteners : tuple of ndarray (windows, windows)
         Inverse Cholesky factor of each sweep's force covariance.
+    flow_covariances : tuple of ndarray (windows, windows)
+        Covariance of each sweep's ln(flow) about its level, if the flow is a random process; else empty.
     """
 
     unknown: Array
@@ -87,42 +60,11 @@ class Solution:
     jacobian: Array
     covariance: Array
     whiteners: tuple[Array, ...]
+    flow_covariances: tuple[Array, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class UnknownLayout:
-    """Order of the unknown vector: parameters, ln flows, slopes of flows, model errors.
-
-    Attributes
-    ----------
-    parameters, sweeps, slopes, errors : int
-        Number of each; there is one flow for each sweep, and one slope for each or none.
-    """
-
-    parameters: int
-    sweeps: int
-    slopes: int
-    errors: int
-
-    @property
-    def of_parameters(self) -> slice:
-        """Place of the parameters."""
-        return slice(0, self.parameters)
-
-    @property
-    def of_flows(self) -> slice:
-        """Place of the logarithms of the flows."""
-        return slice(self.parameters, self.parameters + self.sweeps)
-
-    @property
-    def of_slopes(self) -> slice:
-        """Place of the flows' slopes."""
-        return slice(self.of_flows.stop, self.of_flows.stop + self.slopes)
-
-    @property
-    def of_errors(self) -> slice:
-        """Place of the model errors."""
-        return slice(self.of_slopes.stop, self.of_slopes.stop + self.errors)
+_Term = tuple[Array, Array]
+"""Whitened residuals (r,) and their derivatives (r, u)."""
 
 
 class ClosedLoopProblem:
@@ -146,8 +88,6 @@ class ClosedLoopProblem:
         Order of the unknown vector.
     at_angle : ndarray (windows, A)
         1 if a window is at the angle, else 0; no columns if the model error is not part of the unknown.
-    flow_covariances : list of ndarray
-        Covariance of each sweep's ln(flow) about its level, if the flow is a random process.
     """
 
     def __init__(
@@ -177,20 +117,12 @@ class ClosedLoopProblem:
         weighed = bool(masses) or density is not None
         bounds = [self._bounds(n, float(m), weighed=weighed) for n, m in zip(self.names, self.prior.mean, strict=True)]
         self.lower, self.upper = (np.array(ends) for ends in zip(*bounds, strict=True))
-        self.rows = MomentumBatch(model, self._conditions(), self.names, self.fixed)
-        forces = [s.force_n for s in self.sweeps] + [a.force_n for a in self.masses]
-        self.force: Array = np.concatenate(forces) if forces else np.zeros(0)
-        self.sweep_rows = _slices([s.force_n.size for s in self.sweeps])
         self.windows = sum(s.force_n.size for s in self.sweeps)
-        self.weighed_rows = _slices([a.force_n.size for a in self.masses], self.windows)
         self.at_angle = self._angles_in_common()
         slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.layout = UnknownLayout(len(self.names), len(self.sweeps), slopes, self.at_angle.shape[1])
-        self.clocks = [s.time_s - s.time_s.mean() for s in self.sweeps]
-        self.flow_covariances: list[Array] = []
-        self._near = _WeighedFlows(np.zeros(0), np.zeros((0, len(self.names))), self.prior.mean)
-        """Flows of the weighed loads at the last evaluation."""
-        self._last: tuple[bytes, _Forces] | None = None
+        self._forces = WindowForces(model, self.layout, self.names, self.fixed, self.sweeps, self.masses)
+        self.sweep_rows = self._forces.sweep_rows
 
     def _bounds(self, name: str, mean: float, *, weighed: bool) -> tuple[float, float]:
         """Limits of a parameter: the search range of calibrations for sweeps alone; the physical range if something was weighed
@@ -201,20 +133,6 @@ class ClosedLoopProblem:
             low, high = physical_bounds(name, scale)
         return min(low, mean), max(high, mean)
 
-    def _conditions(self) -> Conditions:
-        parts: tuple[Sweep | WeighedMass, ...] = (*self.sweeps, *self.masses)
-        if not parts:
-            home = self.model.machine
-            return Conditions(home.home_plate_angle_rad, home.nominal_elevator_speed_rad_s, mass_flow_kg_s=np.ones(1))
-        needs_moisture = any(p.moisture_pct is not None for p in parts)
-        moisture = [np.full(p.force_n.size, np.nan) if p.moisture_pct is None else p.moisture_pct for p in parts]
-        return Conditions(
-            np.concatenate([p.plate_angle_rad for p in parts]),
-            np.concatenate([p.elevator_speed_rad_s for p in parts]),
-            mass_flow_kg_s=np.ones(sum(p.force_n.size for p in parts)),
-            moisture_pct=np.concatenate(moisture) if needs_moisture else None,
-        )
-
     def _angles_in_common(self) -> Array:
         if len(self.sweeps) < 2 or self.settings.model_error == 0.0:
             return np.zeros((self.windows, 0))
@@ -223,21 +141,18 @@ class ClosedLoopProblem:
 
     def solve(self) -> Solution:
         """Find the most likely unknown. Raises ValueError if no flow can explain a sweep or a weighed load."""
-        count, slopes, errors = self.layout.sweeps, self.layout.slopes, self.layout.errors
-        flows, weighed_flows = self._first_flows()
-        self._near = _WeighedFlows(weighed_flows, np.zeros((weighed_flows.size, self.layout.parameters)), self.prior.mean)
-        unknown = np.concatenate((self.prior.mean, np.log(flows), np.zeros(slopes + errors)))
-        least = np.full(count, np.log(_LEAST_FLOW_KG_S)), np.full(slopes, -1.0), np.full(errors, -_LARGEST_ERROR)
-        most = np.full(count, np.log(_LARGEST_FLOW_KG_S)), np.full(slopes, 1.0), np.full(errors, _LARGEST_ERROR)
-        low, high = np.concatenate((self.lower, *least)), np.concatenate((self.upper, *most))
-        sizes = np.full(count, 0.1), np.full(slopes, 0.01), np.full(errors, self.settings.model_error)
-        unit = np.concatenate((self.prior.standard_deviation, *sizes))
+        layout, settings = self.layout, self.settings
+        flows = self._forces.start(self.prior_set, self.prior.mean)
+        unknown = layout.vector(self.prior.mean, np.log(flows), 0.0, 0.0)
+        low = layout.vector(self.lower, np.log(_LEAST_FLOW_KG_S), -1.0, -_LARGEST_ERROR)
+        high = layout.vector(self.upper, np.log(_LARGEST_FLOW_KG_S), 1.0, _LARGEST_ERROR)
+        unit = layout.vector(self.prior.standard_deviation, 0.1, 0.01, settings.model_error)
         # The noise by flow and model error depends on the solution, so both are computed alternately.
-        passes = 3 if self.sweeps and (self.settings.flow == "process" or self.settings.model_error > 0.0) else 1
+        passes = 3 if self.sweeps and (settings.flow == "process" or settings.model_error > 0.0) else 1
         for _ in range(passes):
-            whiteners = self._whiteners(unknown)
+            whiteners, flow_covariances = self._noise(unknown)
             found = levenberg_marquardt(
-                partial(self._search_residuals, whiteners),
+                partial(self._residuals, whiteners),
                 unknown[None],
                 low,
                 high,
@@ -253,82 +168,32 @@ class ClosedLoopProblem:
             unknown = found.theta[0]
             if moved < 0.05:
                 break
-        empty = np.flatnonzero(unknown[self.layout.of_flows] <= np.log(_LEAST_FLOW_KG_S) + _AT_END)
+        empty = np.flatnonzero(unknown[layout.of_flows] <= np.log(_LEAST_FLOW_KG_S) + _AT_END)
         if empty.size:
-            raise ValueError(f"sweep {empty[0] + 1} of {count}: its forces are those of an empty machine, without a flow to find")
+            sweep, of = empty[0] + 1, layout.sweeps
+            raise ValueError(f"sweep {sweep} of {of}: its forces are those of an empty machine, without a flow to find")
         jacobian = found.jacobian[0]
-        return Solution(unknown, found.residual[0], jacobian, _inverse(jacobian.T @ jacobian, unit), tuple(whiteners))
+        covariance = _inverse(jacobian.T @ jacobian, unit)
+        return Solution(unknown, found.residual[0], jacobian, covariance, tuple(whiteners), tuple(flow_covariances))
 
-    def _first_flows(self) -> tuple[Array, Array]:
-        loop = OpenLoop(self.model, self.prior_set)
-        flows = np.empty(len(self.sweeps))
-        for i, sweep in enumerate(self.sweeps):
-            # Large forces determine the flow best; the median over the larger half is robust against a bad window.
-            order = np.argsort(sweep.force_n)[-max(1, sweep.force_n.size // 2) :]
-            moisture = None if sweep.moisture_pct is None else sweep.moisture_pct[order]
-            each = loop.invert(sweep.force_n[order], sweep.plate_angle_rad[order], sweep.elevator_speed_rad_s[order], moisture)
-            each = each[np.isfinite(each) & (each > 0.0)]
-            if not each.size:
-                raise ValueError("no flow below a full paddle explains a sweep with the prior's parameters")
-            flows[i] = np.median(each)
-        weighed_flows = [loop.invert(a.force_n, a.plate_angle_rad, a.elevator_speed_rad_s, a.moisture_pct) for a in self.masses]
-        together = np.concatenate(weighed_flows) if weighed_flows else np.zeros(0)
-        if not np.all(np.isfinite(together)):
-            raise ValueError("a weighed load holds more force than a full paddle gives with the prior's parameters")
-        return flows, np.maximum(together, 1e-3)
-
-    def _loads(self, unknown: Array, weighed_flows: Array) -> Array:
-        level, slope = unknown[self.layout.of_flows], unknown[self.layout.of_slopes]
-        parts = [
-            np.exp(level[i] + (slope[i] * self.clocks[i] if slope.size else 0.0)) * np.ones(s.force_n.size)
-            for i, s in enumerate(self.sweeps)
-        ]
-        return np.concatenate([*parts, weighed_flows]) if parts or weighed_flows.size else np.ones(1)
-
-    def _forces(self, unknown: Array) -> _Forces:
-        """Forces of the windows. Flows of the weighed loads are updated so that they explain their forces."""
-        place = unknown.tobytes()
-        if self._last is not None and self._last[0] == place:
-            return self._last[1]
-        if not self.sweeps and not self.masses:
-            return _Forces(np.zeros(0), np.zeros((0, self.layout.parameters)), np.zeros(0), np.ones(1))
-        theta, rows, passes = unknown[self.layout.of_parameters], slice(self.windows, None), self.rows.passes_per_s
-        for _ in range(_NEWTON_STEPS):
-            load = self._loads(unknown, self._near.at(theta))
-            value, jacobian, by_load = self.rows.at_load(theta, load)
-            found = _Forces(value * passes, jacobian * passes[:, None], by_load * passes, load)
-            if not self.masses:
-                break
-            change = (self.force[rows] - found.force[rows]) / found.by_load[rows]
-            if not np.all(np.isfinite(change)):
-                # More than a full paddle: the flows cannot be updated.
-                return found
-            flow = np.clip(load[rows] + change, 0.5 * load[rows], 2.0 * load[rows])
-            self._near = _WeighedFlows(flow, -found.by_theta[rows] / found.by_load[rows, None], theta)
-            if np.max(np.abs(change)) <= _FOLLOWED * np.mean(flow):
-                break
-        self._last = place, found
-        return found
-
-    def _whiteners(self, unknown: Array) -> list[Array]:
-        """Inverse of the lower Cholesky factor of each sweep's force covariance."""
+    def _noise(self, unknown: Array) -> tuple[list[Array], list[Array]]:
+        """Inverse of the lower Cholesky factor of each sweep's force covariance, and the covariance of its ln(flow)."""
         settings = self.settings
         own_error = 0.0 if self.at_angle.size else settings.model_error
         if not self.sweeps or (settings.flow != "process" and own_error == 0.0):
-            return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps]
-        found = self._forces(unknown)
-        force, by_load, loads = found.force, found.by_load, found.load
-        out: list[Array] = []
+            return [np.diag(1.0 / sweep.force_std_dev_n) for sweep in self.sweeps], []
+        found = self._forces.at(unknown)
+        whiteners: list[Array] = []
         covariances: list[Array] = []
-        for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self.clocks, strict=True):
+        for sweep, rows, clock in zip(self.sweeps, self.sweep_rows, self._forces.clocks, strict=True):
+            force, elastic = found.force[rows], found.elastic[rows]
             noise = np.diag(sweep.force_std_dev_n**2)
             if own_error > 0.0:
                 lag = (sweep.plate_angle_rad[:, None] - sweep.plate_angle_rad) / SAME_ANGLE_RAD
-                noise += own_error**2 * np.exp(-(lag**2)) * np.outer(force[rows], force[rows])
+                noise += own_error**2 * np.exp(-(lag**2)) * np.outer(force, force)
             if settings.flow == "process":
-                elastic = by_load[rows] * loads[rows]
                 sd = process_sd(
-                    (sweep.force_n - force[rows]) / elastic,
+                    (sweep.force_n - force) / elastic,
                     sweep.force_std_dev_n / elastic,
                     sweep.plate_angle_rad,
                     clock,
@@ -337,85 +202,79 @@ class ClosedLoopProblem:
                 )
                 covariances.append(sd**2 * correlation(clock, settings.flow_process_time_s))
                 noise += covariances[-1] * np.outer(elastic, elastic)
-            out.append(np.linalg.inv(np.linalg.cholesky(noise)))
-        self.flow_covariances = covariances
-        return out
+            whiteners.append(np.linalg.inv(np.linalg.cholesky(noise)))
+        return whiteners, covariances
 
-    def _search_residuals(self, whiteners: Sequence[Array], unknown: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
-        return self._residuals(unknown[0], whiteners)
+    def _residuals(self, whiteners: Sequence[Array], batch: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Whitened residuals (1, m) and derivatives (1, m, u) of windows, prior, slopes, model errors, masses and density, of a
+        batch of one unknown vector (1, u)."""
+        unknown, layout = batch[0], self.layout
+        found = self._forces.at(unknown)
+        by_parameters = np.zeros((layout.parameters, unknown.size))
+        by_parameters[:, layout.of_parameters] = self.white
+        terms = [
+            *self._window_terms(unknown, found, whiteners),
+            (self.white @ (unknown[layout.of_parameters] - self.prior.mean), by_parameters),
+            _independent(unknown, layout.of_slopes, 0.0, self.settings.flow_slope_sd_per_s),
+            _independent(unknown, layout.of_errors, 0.0, self.settings.model_error),
+            *self._mass_terms(unknown, found),
+        ]
+        if self.density is not None:
+            place = self.names.index("density")
+            place_of = slice(place, place + 1)
+            terms.append(_independent(unknown, place_of, self.density.density_kg_m3, self.density.std_dev_kg_m3))
+        residuals, jacobians = zip(*terms, strict=True)
+        return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
 
-    def _residuals(self, unknown: Array, whiteners: Sequence[Array]) -> tuple[Array, Array]:
-        """Whitened residuals (1, m) and derivatives (1, m, u) of windows, prior, slopes, model errors, masses and density."""
-        layout = self.layout
-        found = self._forces(unknown)
-        force, by_theta, by_load, loads = found.force, found.by_theta, found.by_load, found.load
-        residuals, jacobians = [], []
-        errors = unknown[layout.of_errors]
-        missed = self.model_errors_n(unknown)
+    def _window_terms(self, unknown: Array, found: Forces, whiteners: Sequence[Array]) -> Iterator[_Term]:
+        layout, errors, missed = self.layout, unknown[self.layout.of_errors], self.model_errors_n(unknown)
         for i, (rows, whitener) in enumerate(zip(self.sweep_rows, whiteners, strict=True)):
             jacobian = np.zeros((len(whitener), unknown.size))
             factor = 1.0 + self.at_angle[rows] @ errors
-            jacobian[:, layout.of_parameters] = by_theta[rows] * factor[:, None]
-            jacobian[:, layout.of_errors] = self.at_angle[rows] * force[rows, None]
-            elastic = by_load[rows] * loads[rows] * factor
+            jacobian[:, layout.of_parameters] = found.by_theta[rows] * factor[:, None]
+            jacobian[:, layout.of_errors] = self.at_angle[rows] * found.force[rows, None]
+            elastic = found.elastic[rows] * factor
             jacobian[:, layout.of_flows.start + i] = elastic
             if layout.slopes:
-                jacobian[:, layout.of_slopes.start + i] = elastic * self.clocks[i]
-            residuals.append(whitener @ (force[rows] + missed[rows] - self.force[rows]))
-            jacobians.append(whitener @ jacobian)
-        prior_jacobian = np.zeros((layout.parameters, unknown.size))
-        prior_jacobian[:, layout.of_parameters] = self.white
-        residuals.append(self.white @ (unknown[layout.of_parameters] - self.prior.mean))
-        jacobians.append(prior_jacobian)
-        if layout.slopes:
-            slope_jacobian = np.zeros((layout.slopes, unknown.size))
-            slope_jacobian[:, layout.of_slopes] = np.eye(layout.slopes) / self.settings.flow_slope_sd_per_s
-            residuals.append(unknown[layout.of_slopes] / self.settings.flow_slope_sd_per_s)
-            jacobians.append(slope_jacobian)
-        if errors.size:
-            error_jacobian = np.zeros((errors.size, unknown.size))
-            error_jacobian[:, layout.of_errors] = np.eye(errors.size) / self.settings.model_error
-            residuals.append(errors / self.settings.model_error)
-            jacobians.append(error_jacobian)
-        for mass, rows in zip(self.masses, self.weighed_rows, strict=True):
+                jacobian[:, layout.of_slopes.start + i] = elastic * self._forces.clocks[i]
+            yield whitener @ (found.force[rows] + missed[rows] - self._forces.measured[rows]), whitener @ jacobian
+
+    def _mass_terms(self, unknown: Array, found: Forces) -> Iterator[_Term]:
+        for mass, rows in zip(self.masses, self._forces.weighed_rows, strict=True):
+            by_load = found.by_load[rows]
             # The last Newton step of the flows that explain the forces.
-            flow = loads[rows] + (self.force[rows] - force[rows]) / by_load[rows]
+            flow = found.load[rows] + (self._forces.measured[rows] - found.force[rows]) / by_load
             error_kg, sd_kg = float(mass.duration_s @ flow - mass.reference_kg), mass.std_dev_kg
             by = np.zeros((1, unknown.size))
-            by[0, layout.of_parameters] = -(mass.duration_s / by_load[rows]) @ by_theta[rows]
+            by[0, self.layout.of_parameters] = -(mass.duration_s / by_load) @ found.by_theta[rows]
             if mass.common_kg > 0.0 and BIAS in self.names:
                 place = self.names.index(BIAS)
                 error_kg -= mass.common_kg * unknown[place]
                 by[0, place] -= mass.common_kg
                 sd_kg = (sd_kg**2 - mass.common_kg**2) ** 0.5
-            residuals.append(np.array([error_kg / sd_kg]))
-            jacobians.append(by / sd_kg)
-        if self.density is not None:
-            index = self.names.index("density")
-            by = np.zeros((1, unknown.size))
-            by[0, index] = 1.0 / self.density.std_dev_kg_m3
-            residuals.append(np.array([(unknown[index] - self.density.density_kg_m3) / self.density.std_dev_kg_m3]))
-            jacobians.append(by)
-        return np.concatenate(residuals)[None], np.vstack(jacobians)[None]
+            yield np.array([error_kg / sd_kg]), by / sd_kg
 
     def model_errors_n(self, unknown: Array) -> Array:
         """Error of every window's force by the model errors that are common to the sweeps, N."""
-        return np.asarray(self._forces(unknown).force[: self.windows] * (self.at_angle @ unknown[self.layout.of_errors]))
+        force = self._forces.at(unknown).force[: self.windows]
+        return np.asarray(force * (self.at_angle @ unknown[self.layout.of_errors]))
 
     def elastic(self, unknown: Array) -> Array:
         """d(force)/d(ln flow) of every window, N."""
-        found = self._forces(unknown)
-        return found.by_load * found.load
+        return self._forces.at(unknown).elastic
+
+
+def _independent(unknown: Array, place: slice, mean: float, std_dev: float) -> _Term:
+    """Of unknowns with the same mean and standard deviation."""
+    values = unknown[place]
+    jacobian = np.zeros((values.size, unknown.size))
+    jacobian[:, place] = np.eye(values.size) / std_dev
+    return (values - mean) / std_dev, jacobian
 
 
 def _inverse(information: Array, unit: Array) -> Array:
     scaled_information = information * unit[:, None] * unit
     return np.asarray(np.linalg.inv(scaled_information)) * unit[:, None] * unit
-
-
-def _slices(sizes: Sequence[int], first: int = 0) -> list[slice]:
-    ends = first + np.cumsum([0, *sizes])
-    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
 def _impact_scale(values: Mapping[str, float]) -> float:
