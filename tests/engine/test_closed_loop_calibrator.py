@@ -22,8 +22,8 @@ from yieldmon.engine.self_calibration.parameter_updater import ParameterUpdater
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource, Weighing
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.state import EngineState
-from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepWindow
+from yieldmon.engine.sweeps.sweep_machine import SweepMachine
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
 from yieldmon.estimation.open_loop import OpenLoop
@@ -592,7 +592,7 @@ def test_sweeps_that_would_update_nothing_are_not_begun_by_schedule(friction: fl
     sweep = SweepMachine(settings.sweep, settings.plate, float(np.degrees(MACHINE.home_plate_angle_rad)))
     updater = ParameterUpdater(settings, MACHINE, used, ClosedLoopCalibrator(MODEL, EXACT) if learns else None)
     updater.update(0.0, records(10.0)[0], sweep)
-    assert sweep.by_schedule is by_schedule
+    assert sweep.schedule.by_schedule is by_schedule
 
 
 KNOWN_WELL = dataclasses.replace(PRIOR, covariance=np.diag([0.002**2, 0.01**2, 10.0**2]))
@@ -625,8 +625,8 @@ def test_a_sweep_that_is_due_begins_where_its_information_suffices(
         sweep.window(SweepWindow(float(second), second - 1.2, flow, home, SPEED, home_deg, whole=True, still=True, trend=0.0))
         updater.update(float(second), row, sweep)
     assert bool(sweep.sweep_id) is begins
-    assert sweep.declined == declined
-    assert bool(sweep.declined_because) is bool(declined)
+    assert sweep.schedule.declined == declined
+    assert bool(sweep.schedule.declined_because) is bool(declined)
     sweep.abort(40.0)
     sweep.request()
     sweep.tick(PlateReading(41.0, home_deg, ActuatorState.IDLE))

@@ -11,8 +11,9 @@ from engine_bench import MACHINE
 
 from yieldmon.engine.settings import PlateSettings, SweepSettings
 from yieldmon.engine.sweeps.plate_commands import PlateDemand
-from yieldmon.engine.sweeps.sweep import SweepMachine, sweep_sequence
+from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow, support_start_s
+from yieldmon.engine.sweeps.sweep_machine import SweepMachine
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 from yieldmon.physics.machine import RPM
 
@@ -295,7 +296,7 @@ def test_a_sweep_waits_for_its_conditions(unfit: str) -> None:
 
 def test_off_schedule_only_a_sweep_that_is_asked_for_begins() -> None:
     rig = idle()
-    rig.machine.by_schedule = False
+    rig.machine.schedule.by_schedule = False
     rig.tick(20.0)
     assert rig.state is S.IDLE
     rig.machine.request()
@@ -341,7 +342,7 @@ def test_waits_double_after_each_abort_and_not_beyond_the_interval() -> None:
             rig.window()
             rig.tick()
         rig.machine.abort(rig.now)
-        waits.append(round(rig.machine.remaining_s(rig.now)))
+        waits.append(round(rig.machine.schedule.remaining_s(rig.now)))
         rig.angle = HOME
         rig.tick()
     assert waits == [60, 120, 200, 200]

@@ -125,7 +125,7 @@ def test_a_sweep_that_a_reload_ends_is_begun_anew() -> None:
     loaded = configuration.load(shipped("config/yieldmon.yaml"), {})
     run_with_actuator(target, BENCH, Actuator(), 24.0)
     assert target.sweep.visiting
-    assert successor(target, loaded, None, 1.7e9).sweep.requested
+    assert successor(target, loaded, None, 1.7e9).sweep.schedule.requested
 
 
 def test_commands_come_ten_times_a_second_with_a_counter_and_within_the_rate() -> None:

@@ -16,7 +16,7 @@ from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.publishing import Published, Publisher
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep_machine import SweepMachine
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Value
 from yieldmon.signal_ranges import signal_ranges

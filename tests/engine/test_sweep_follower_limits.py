@@ -162,7 +162,7 @@ def test_an_abort_counts_only_while_one_is_followed_and_no_request_is_taken() ->
     log.follower.abort(log.now, SweepAbort.FORCE_DOES_NOT_FOLLOW)
     log.follower.request()
     assert (log.state, log.follower.abort_reason, log.follower.not_following) == (S.IDLE, None, False)
-    assert not log.follower.requested
+    assert not log.follower.schedule.requested
     for reason, not_following in ((SweepAbort.FORCE_DOES_NOT_FOLLOW, True), (SweepAbort.OPERATOR, False)):
         log = stopped()
         log.follower.abort(log.now, reason)

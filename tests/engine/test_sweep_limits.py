@@ -9,8 +9,8 @@ import pytest
 
 from yieldmon.engine.settings import PlateSettings, SweepSettings
 from yieldmon.engine.sweeps.plate_commands import PlateDemand
-from yieldmon.engine.sweeps.sweep import SweepMachine
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow
+from yieldmon.engine.sweeps.sweep_machine import SweepMachine
 from yieldmon.frames import ActuatorState, CommandMode, SweepState
 
 S, A = SweepState, ActuatorState
@@ -111,7 +111,7 @@ def begun(sweep: Sweep, angle: float = HOME, tick_angle: float = HOME, **change:
 def left_away(later_s: float) -> Sweep:
     """A plate that nobody drives rests at 50 degrees."""
     sweep = Sweep()
-    sweep.machine.by_schedule = False
+    sweep.machine.schedule.by_schedule = False
     return sweep.tick(1.0, 50.0).tick(later_s, 50.0)
 
 
@@ -200,40 +200,40 @@ def test_a_whole_sweep_step_by_step() -> None:
     assert sweep.window() == -1, "nothing counts after the last step"
     machine.finish(sweep.now, updated=True)
     assert (machine.completed, machine.step, machine.progress_pct, machine.state) == (False, -1, 100.0, S.UPDATED)
-    assert machine.remaining_s(sweep.now + 4.0) == 60.0
+    assert machine.schedule.remaining_s(sweep.now + 4.0) == 60.0
 
 
 def test_waits_after_aborts_double_up_to_the_interval_and_begin_anew_after_a_whole_sweep() -> None:
     sweep = Sweep()
-    assert sweep.machine.remaining_s(6.0) == 10.0
+    assert sweep.machine.schedule.remaining_s(6.0) == 10.0
     waits = []
     for _ in range(5):
         sweep.machine.request()
-        assert sweep.machine.requested
+        assert sweep.machine.schedule.requested
         assert begun(sweep)
-        assert not sweep.machine.requested
+        assert not sweep.machine.schedule.requested
         sweep.machine.abort(sweep.now)
-        waits.append(sweep.machine.remaining_s(sweep.now))
+        waits.append(sweep.machine.schedule.remaining_s(sweep.now))
         assert (sweep.machine.step, sweep.machine.completed, sweep.machine.progress_pct) == (-1, False, 0.0)
         sweep.tick(0.125)
     assert waits == [8.0, 16.0, 32.0, 64.0, 64.0]
     assert sweep.machine.sweep_id == 5
     sweep.machine.finish(sweep.now, updated=False)
-    assert (sweep.state, sweep.machine.remaining_s(sweep.now)) == (S.NOT_LEARNED, 64.0)
+    assert (sweep.state, sweep.machine.schedule.remaining_s(sweep.now)) == (S.NOT_LEARNED, 64.0)
     sweep.machine.request()
     assert begun(sweep)
     sweep.machine.abort(sweep.now)
-    assert sweep.machine.remaining_s(sweep.now) == 8.0
+    assert sweep.machine.schedule.remaining_s(sweep.now) == 8.0
 
 
 def test_a_request_is_withdrawn_by_an_abort_and_a_waiting_sweep_put_off() -> None:
     sweep = Sweep()
     sweep.machine.request()
     sweep.machine.abort(sweep.now)
-    assert (sweep.machine.requested, sweep.tick(0.125).state) == (False, S.IDLE)
+    assert (sweep.machine.schedule.requested, sweep.tick(0.125).state) == (False, S.IDLE)
     sweep = waiting()
     sweep.machine.abort(sweep.now)
-    assert (sweep.state, sweep.machine.remaining_s(sweep.now), sweep.machine.abort_reason) == (S.IDLE, 64.0, None)
+    assert (sweep.state, sweep.machine.schedule.remaining_s(sweep.now), sweep.machine.abort_reason) == (S.IDLE, 64.0, None)
 
 
 @pytest.mark.parametrize(

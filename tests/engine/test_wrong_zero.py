@@ -184,8 +184,8 @@ def test_a_sweep_that_was_asked_for_is_still_wanted_after_a_reload() -> None:
     feed(target, BENCH.run(10))
     target.request_sweep()
     after = successor(target, configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9)
-    assert after.sweep.requested
-    assert not successor(monitor(), configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9).sweep.requested
+    assert after.sweep.schedule.requested
+    assert not successor(monitor(), configuration.load(shipped("config/yieldmon.yaml"), {}), None, 1.7e9).sweep.schedule.requested
 
 
 def test_a_wrong_zero_that_is_taken_again_is_still_undone_to_the_good_one() -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
     from yieldmon.engine.settings import EngineSettings
     from yieldmon.engine.sweeps.disagreement import Disagreement
-    from yieldmon.engine.sweeps.sweep import SweepMachine
+    from yieldmon.engine.sweeps.sweep import PlateSweep
     from yieldmon.engine.waveform.waveform_reading import WaveformReading
 
 
@@ -71,7 +71,7 @@ class Observation(NamedTuple):
 
     reading: Reading
     flow: Flow
-    sweep: SweepMachine
+    sweep: PlateSweep
     outcome: CalibrationOutcome | None
     disagreement: Disagreement
     calibration_age_s: float | None

@@ -12,7 +12,7 @@ from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.disagreement import Disagreement
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.waveform.waveform_reading import WaveformReading
 from yieldmon.physics.machine import Machine
 
@@ -122,7 +122,7 @@ class MonitorView:
         return self._parts.waveform.kernel_weight_g if self._parts.waveform is not None else 0.0
 
     @property
-    def sweep(self) -> SweepMachine:
+    def sweep(self) -> PlateSweep:
         """The plate sweeps."""
         return self._parts.plate.sweep
 

@@ -10,7 +10,7 @@ from yieldmon.engine.faults import FAULTS
 from yieldmon.engine.health import FaultBook
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.records import COLUMNS, WindowRecord
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame, Value
 from yieldmon.physics.grain import published
@@ -24,7 +24,7 @@ _PUBLISHED = tuple((column, *column.published) for column in COLUMNS if column.p
 class Published:
     """What the frames of a window hold beside its record. parameters: in use. calibration_age_s: None where it is not known."""
 
-    sweep: SweepMachine
+    sweep: PlateSweep
     parameters: ParameterSet
     calibration_age_s: float | None
     faults: FaultBook

@@ -20,7 +20,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         zero=parts.measurement.zero.state,
         windows=windows,
         sweep_id=sweep.sweep_id,
-        sweep_due_in_s=sweep.remaining_s(parts.clock.now_s or 0.0),
+        sweep_due_in_s=sweep.schedule.remaining_s(parts.clock.now_s or 0.0),
         calibration_age_s=updater.calibration_age_s,
         parameter_version=updater.estimator.parameters.version,
         disagreement=updater.disagreement.state,

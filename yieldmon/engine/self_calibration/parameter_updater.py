@@ -18,7 +18,7 @@ from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, name_of
 from yieldmon.engine.self_calibration.ticket_check import departure_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.disagreement import Disagreement
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.engine.sweeps.sweep_windows import SweepWindows
 from yieldmon.estimation.admission import sweep_refusal
@@ -216,7 +216,7 @@ class ParameterUpdater:
             self.calibrator.remember([a for a in tickets if a not in waiting], self.estimator, self.model_error)
 
     def update(
-        self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None = None
+        self, at_s: float, record: WindowRecord, sweep: PlateSweep, channels: OtherChannels | None = None
     ) -> tuple[ParametersChanged, ...]:
         """Collect a sweep's windows, and hand them to the calibrator at its end; between sweeps, update from reference masses.
 
@@ -228,7 +228,9 @@ class ParameterUpdater:
         tuple of ParametersChanged
             In order.
         """
-        sweep.by_schedule = self.calibrator is None or (self._sweeps_update and self._may_begin(at_s, record, sweep, channels))
+        sweep.schedule.by_schedule = self.calibrator is None or (
+            self._sweeps_update and self._may_begin(at_s, record, sweep, channels)
+        )
         windows, parameters = self._sweep_windows, self.estimator.parameters
         if not sweep.visiting and not sweep.completed:
             if windows.between(record, sweep, parameters):
@@ -255,7 +257,7 @@ class ParameterUpdater:
         sweep.finish(at_s, bool(changed))
         return (*weighed, *changed)
 
-    def _may_begin(self, at_s: float, record: WindowRecord, sweep: SweepMachine, channels: OtherChannels | None) -> bool:
+    def _may_begin(self, at_s: float, record: WindowRecord, sweep: PlateSweep, channels: OtherChannels | None) -> bool:
         """Whether a sweep may begin by schedule; one that is due and gains too little is declined."""
         settings = self._sweeps
         if settings.when == "interval" or self.calibrator is None or sweep.state is SweepState.WAITING:
@@ -267,7 +269,7 @@ class ParameterUpdater:
         if worth is None or worth.ratio >= settings.worth_ratio:
             return True
         at_home, swept = 100.0 * worth.at_home_sd, 100.0 * worth.with_sweep_sd
-        sweep.decline(at_s, f"a sweep would leave {swept:.2g} % on the flow, as long at home {at_home:.2g} %")
+        sweep.schedule.decline(at_s, f"a sweep would leave {swept:.2g} % on the flow, as long at home {at_home:.2g} %")
         return False
 
     def update_from_kernels(self, measurement: KernelMeasurement, record: WindowRecord) -> tuple[ParametersChanged, ...]:

@@ -8,9 +8,10 @@ from math import degrees
 from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.plate_commands import RELEASE, PlateCommander
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.sweeps.sweep_follower import SweepFollower
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading
+from yieldmon.engine.sweeps.sweep_machine import SweepMachine
 from yieldmon.frames import ActuatorState, CommandMode, SweepState, Value
 from yieldmon.physics.machine import Machine
 
@@ -35,7 +36,7 @@ class Plate:
 
     def __init__(self, settings: EngineSettings, machine: Machine, *, driven: bool = True) -> None:
         kind = SweepMachine if driven else SweepFollower
-        self.sweep = kind(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
+        self.sweep: PlateSweep = kind(settings.sweep, settings.plate, degrees(machine.home_plate_angle_rad))
         self.driving = False
         self._commander = PlateCommander(settings.plate, machine)
         self._ended_id = 0

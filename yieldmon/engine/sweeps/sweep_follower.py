@@ -1,7 +1,7 @@
 """Sweeps as a log shows them: the plate leaves home in steady flow, rests at other angles, and is at home again.
 
 Nothing is commanded, so a plate that stays at home is no fault, and movements unlike a sweep are ignored. A sweep in a log counts
-under the same conditions as a live one (`sweep.py`).
+under the same conditions as a live one (`sweep_machine.py`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections import deque
 from itertools import groupby
 
 from yieldmon.engine.settings import PlateSettings, SweepSettings
-from yieldmon.engine.sweeps.sweep import RESTING, SweepMachine, sweep_sequence
+from yieldmon.engine.sweeps.sweep import RESTING, PlateSweep
 from yieldmon.engine.sweeps.sweep_inputs import PlateReading, SweepAbort, SweepWindow, plate_trouble
 from yieldmon.frames import ActuatorState, SweepState
 
@@ -20,13 +20,13 @@ _LONGEST_STOP = 10.0
 """Time at one angle away from home, relative to `measure_timeout_s`, after which the movement is no sweep."""
 
 
-class SweepFollower(SweepMachine):
+class SweepFollower(PlateSweep):
     """The sweeps of one plate that something else drove. Times are engine time, s."""
 
     def __init__(self, settings: SweepSettings, plate: PlateSettings, home_deg: float) -> None:
         super().__init__(settings, plate, home_deg)
         self._tolerance_deg = plate.rest_tolerance_deg
-        self._configured = _stops(sweep_sequence(settings.angles_deg, home_deg, settings.home_every))
+        self._configured = _stops(self.sequence)
         self._before: deque[SweepWindow] = deque(maxlen=settings.windows_per_step)
         self._stop_deg = float("nan")
         self._rest_since_s: float | None = None
@@ -73,15 +73,13 @@ class SweepFollower(SweepMachine):
             self._begin()
         if self.completed:
             return -1
-        settled = self.state is SweepState.MEASURING and window.support_start_s >= self._settled_s and window.still
-        usable = settled and good and not window.trend > self._settings.signal_trend
-        reason = self._window_trouble(window, usable, at_home)
+        usable = good and self._usable(window)
+        reason = self._measurement.trouble(window, usable=usable, at_home=at_home)
         if reason is not None:
             self._end_aborted(reason)
             return -1
         if usable:
-            self._seen.append((window.flow_kg_s, window.force_n))
-            self._measured += 1
+            self._measurement.add(window)
         self._look_for_the_end(window.end_s, at_home)
         return self.step if usable else -1
 
@@ -97,10 +95,9 @@ class SweepFollower(SweepMachine):
         self.sweep_id += 1
         self.abort_reason = None
         self.not_following = False
-        self._base_flow, self._base_speed = self._home.means
-        self._seen = [(w.flow_kg_s, w.force_n) for w in self._before]
+        self._measurement.begin(self._home.means, self._before)
         self._forget()
-        self.sequence, self.step, self._measured = (self._home_deg,), 0, 0
+        self.sequence, self.step = (self._home_deg,), 0
         self._stop_deg, self._rest_since_s = self._home_deg, None
         self._stop_since_s = float("inf")
         self._enter(SweepState.MOVING)
@@ -113,7 +110,7 @@ class SweepFollower(SweepMachine):
             at_home = self._near(angle_deg, self._home_deg)
             self.sequence = (*self.sequence, self._home_deg if at_home else round(angle_deg, 1))
             self.step += 1
-            self._measured = 0
+            self._measurement.begin_step()
         self._stop_since_s = now_s
 
     def _look_for_the_end(self, now_s: float, at_home: bool) -> None:
@@ -123,7 +120,7 @@ class SweepFollower(SweepMachine):
                 self._ignore()
             return
         as_configured = len(self.sequence) == len(self._configured) and all(map(self._near, self.sequence, self._configured))
-        if as_configured and self._measured >= self._settings.windows_per_step:
+        if as_configured and self._measurement.step_done:
             self.completed = True
         elif rested_s > self._settings.measure_timeout_s:
             if len({round(angle) for angle in self.sequence}) >= _LEAST_ANGLES:

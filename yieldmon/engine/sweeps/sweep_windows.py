@@ -7,7 +7,7 @@ from math import isfinite
 
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.sweeps.disagreement import Disagreement
-from yieldmon.engine.sweeps.sweep import SweepMachine
+from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import SAME_ANGLE_RAD
@@ -50,7 +50,7 @@ class SweepWindows:
         self._on_the_way: list[float] = []
         """Flows since the window that ended it, kg/s."""
 
-    def between(self, record: WindowRecord, sweep: SweepMachine, parameters: ParameterSet) -> bool:
+    def between(self, record: WindowRecord, sweep: PlateSweep, parameters: ParameterSet) -> bool:
         """A window while no sweep is under way."""
         looked = False
         if self._under_way:
@@ -61,7 +61,7 @@ class SweepWindows:
         self._records = [*self._records, record][-sweep.lead :] if sweep.lead else []
         return looked
 
-    def within(self, record: WindowRecord, sweep: SweepMachine, parameters: ParameterSet) -> bool:
+    def within(self, record: WindowRecord, sweep: PlateSweep, parameters: ParameterSet) -> bool:
         """A window of a sweep under way, or the one that completes it."""
         self._way_home = []
         self._under_way = not sweep.completed

@@ -64,6 +64,6 @@ def successor(
         since_kg = grain_since_kg(fresh, loads, state.totals, now_s)
         monitor.set_estimator(monitor.estimator, state.calibration_age_s, since_kg)
     monitor.take_over(before, tickets=fresh is None)
-    if before.sweep.requested or before.sweep.visiting:
+    if before.sweep.schedule.requested or before.sweep.visiting:
         monitor.request_sweep()
     return monitor

@@ -169,8 +169,8 @@ def _sweep(monitor: MonitorView, engine: EngineState) -> StatusSweep:
         "sweeps": sweep.sweep_id,
         "due_in_s": finite(engine.sweep_due_in_s) if monitor.settings.sweep.enabled else None,
         "aborted_because": sweep.abort_reason.value if sweep.abort_reason is not None else None,
-        "declined": sweep.declined,
-        "declined_because": sweep.declined_because or None,
+        "declined": sweep.schedule.declined,
+        "declined_because": sweep.schedule.declined_because or None,
         "last_update": outcome.reason if outcome is not None else None,
     }
 
