@@ -199,3 +199,12 @@ def crop_yield_kg_m2(mass_kg: float | None, area_m2: float | None) -> float | No
 
 def _shown(value_si: float | None, unit: Unit) -> str:
     return UNKNOWN if value_si is None or not isfinite(value_si) else f"{rounded(unit.of(value_si))} {unit.name}"
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things.
+
+    >>> counted(1, "machine"), counted(3, "machine")
+    ('1 machine', '3 machines')
+    """
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

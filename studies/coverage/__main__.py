@@ -44,7 +44,7 @@ from yieldmon.physics.machine import RPM
 from yieldmon.plant.combine import VirtualCombine
 from yieldmon.plant.effects import ChainSlip, Effects, MoistureDependence, PlateFriction
 from yieldmon.plant.profiles import FlowProfile, Oscillating, Steady
-from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.plant.scenario import Scenario, ScenarioCrop
 from yieldmon.plant.sensor import SensorSettings
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor
@@ -185,7 +185,7 @@ def scenario_of(sizes: Sizes, duration_s: float) -> Scenario:
     else:
         pieces += [Steady(kind="steady", duration_s=duration_s, flow_kg_s=11.0)]
     flow = FlowProfile(pieces=pieces, variation_pct=sizes.variation_pct, variation_time_s=sizes.variation_time_s, smoothing_s=0.7)
-    crop = Crop(moisture_pct=sizes.moisture_pct, end_moisture_pct=sizes.end_moisture_pct)
+    crop = ScenarioCrop(moisture_pct=sizes.moisture_pct, end_moisture_pct=sizes.end_moisture_pct)
     return Scenario(
         duration_s=duration_s, crop=crop, effects=sizes.effects, flow=flow, paddle_scatter_pct=sizes.scatter_pct,
         sensor=SensorSettings(noise_mv=sizes.noise_mv),

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from yieldmon.estimation.parameters import ParameterSet
     from yieldmon.physics.numerics import Array
-    from yieldmon.plant.scenario import Crop, Scenario
+    from yieldmon.plant.scenario import Scenario, ScenarioCrop
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 20261121
@@ -49,7 +49,7 @@ def measured(scenario: Scenario, seed: int) -> dict[str, Array]:
     )
 
 
-def from_truth(found: ParameterSet, crop: Crop) -> tuple[float, float]:
+def from_truth(found: ParameterSet, crop: ScenarioCrop) -> tuple[float, float]:
     """Chi-square with three degrees of freedom of a calibration from the grain that it was made with, and its p."""
     import numpy as np
     from scipy.stats import chi2

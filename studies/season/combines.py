@@ -17,7 +17,7 @@ from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import Effects, JetShielding, PlateFriction, ResidualRadialSpeed
-from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.plant.scenario import Scenario, ScenarioCrop
 
 Array = NDArray[np.float64]
 Ratio = Callable[[Array, Array, Array], Array]
@@ -37,7 +37,7 @@ class Combine:
 
     def scenario(self, base: Scenario) -> Scenario:
         """The base's crop and sensor with this combine's effects."""
-        crop: Crop = base.crop.model_copy(update={"shape_ratio": self.shape_ratio})
+        crop: ScenarioCrop = base.crop.model_copy(update={"shape_ratio": self.shape_ratio})
         kept = {"moisture_dependence": base.effects.moisture_dependence}
         return base.model_copy(update={"crop": crop, "effects": self.effects.model_copy(update=kept)})
 

@@ -38,7 +38,7 @@ from yieldmon.estimation.self_calibration.sweep_model_error import model_error
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.plant.effects import MoistureDependence
-from yieldmon.plant.scenario import Crop, Scenario
+from yieldmon.plant.scenario import Scenario, ScenarioCrop
 from yieldmon.service.config.configuration import calibrator_settings
 from yieldmon.service.config.document import Document
 from yieldmon.service.history import remeasuring
@@ -181,7 +181,7 @@ def scenario_of(settings: SeasonSettings) -> Scenario:
     """The scenario whose crop begins the season: moisture of the first day, and its dependence on moisture switched on."""
     base = Scenario()
     effects = base.effects.model_copy(update={"moisture_dependence": MoistureDependence()})
-    crop: Crop = base.crop.model_copy(update={"moisture_pct": settings.moisture_pct[0]})
+    crop: ScenarioCrop = base.crop.model_copy(update={"moisture_pct": settings.moisture_pct[0]})
     return base.model_copy(update={"effects": effects, "crop": crop})
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yieldmon.field.units import crop
+from yieldmon.field.crop_figures import crop
 
 from .test_rows_of_strangers import home, mapped, rows  # noqa: F401
 

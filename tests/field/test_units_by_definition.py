@@ -8,8 +8,9 @@ from fractions import Fraction as Exact
 import pytest
 
 from yieldmon.errors import InputError
+from yieldmon.field.crop_figures import crop, known_crops
 from yieldmon.field.sources.columns.naming import split_unit
-from yieldmon.field.units import FACTORS, crop, factor, known_crops
+from yieldmon.field.units import FACTORS, factor
 
 LB, FT, INCH, MILE = Exact("0.45359237"), Exact("0.3048"), Exact("0.0254"), Exact("1609.344")
 ACRE = 43560 * FT**2

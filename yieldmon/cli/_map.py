@@ -20,11 +20,11 @@ from yieldmon.errors import InputError
 from yieldmon.field import harvest, sources, summary
 from yieldmon.field.cleaning import NAMES, NEEDED
 from yieldmon.field.copies import without_copies
+from yieldmon.field.crop_figures import crop, known_crops
 from yieldmon.field.header_place import FARTHEST_M, HeaderPlace
 from yieldmon.field.products import FILES, FORMATS, write_products
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import HarvestTable, Skipped, joined
-from yieldmon.field.units import crop, known_crops
 from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
 from yieldmon.units import UnitSystem

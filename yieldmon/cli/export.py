@@ -20,6 +20,7 @@ from yieldmon.service.storage.empty_loads import empty_loads, not_listed
 from yieldmon.service.storage.ledger import LoadRecord
 from yieldmon.service.storage.load_ends import between_loads
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.units import counted
 
 ENDINGS = {
     ".csv": "csv",
@@ -90,12 +91,12 @@ def run(args: argparse.Namespace) -> int:
         empty = frozenset() if args.all else frozenset(empty_loads(loads))
         listed = [load for load in loads if load.number not in empty]
         _table(kind)(out, LoadRecord, listed)
-        print(f"{out}: {_counted(len(listed), 'load')}" + (f"; {not_listed(len(empty))}" if empty else ""), file=sys.stderr)
+        print(f"{out}: {counted(len(listed), 'load')}" + (f"; {not_listed(len(empty))}" if empty else ""), file=sys.stderr)
         return 0
     rows = recorded.read_seconds(args.record)
     if what == "seconds":
         _table(kind)(out, SecondRow, rows)
-        print(f"{out}: {_counted(len(rows), 'second')}", file=sys.stderr)
+        print(f"{out}: {counted(len(rows), 'second')}", file=sys.stderr)
         return 0
     _export_points(args, kind, out, rows)
     return 0
@@ -111,7 +112,7 @@ def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequenc
         raise InputError(args.record, "has no second of harvest with a position", expected)
     _write_points(kind, out, points, settings, _names(args, loads, "" if kind == "taskdata" else _GRAIN))
     masses = f"{sum(point.mass_kg for point in points):.0f} of {sum(row.mass_kg for row in rows):.0f} kg"
-    said = f"{out}: {_counted(len(points), 'yield point')} with {masses}"
+    said = f"{out}: {counted(len(points), 'yield point')} with {masses}"
     if kind == "agleader":
         # Readers take such a file for a raw one.
         said += f"; corrected for a flow delay of {args.flow_delay:g} s: read them with `yieldmon map --flow-delay 0`"
@@ -120,12 +121,8 @@ def _export_points(args: argparse.Namespace, kind: str, out: Path, rows: Sequenc
     corrected = [load for load in loads if load.number in in_points and load.corrected_mass_kg != load.mass_kg]
     if corrected:
         better = f"{sum(load.corrected_mass_kg for load in corrected):.0f} for {sum(load.mass_kg for load in corrected):.0f} kg"
-        note = f"points are as measured; {_counted(len(corrected), 'load')} weighed or recomputed ({better})"
+        note = f"points are as measured; {counted(len(corrected), 'load')} weighed or recomputed ({better})"
         print(f"yieldmon: {note}: `yieldmon map` corrects its points", file=sys.stderr)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _table(kind: str) -> Callable[[Path, type, Sequence[Any]], None]:

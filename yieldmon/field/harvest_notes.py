@@ -9,12 +9,12 @@ import numpy as np
 from yieldmon.units import S_PER_DAY, T_HA_PER_KG_M2
 
 from .cleaning import Cleaned
+from .crop_figures import crop
 from .delay import Decision
 from .machines import Machine
 from .table import HarvestTable
 from .totals import Totals
 from .tracks import Tracks
-from .units import crop
 
 _LEAST_KG_M2, _MOST_GRAIN_KG_M2, _MOST_KG_M2 = 0.005, 4.0, 20.0
 """Mean yields beyond which units are wrong: 40 t/ha of grain is a record, 200 t/ha one of cane and beets."""

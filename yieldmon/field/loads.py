@@ -15,11 +15,11 @@ from yieldmon.files.ticket_file import WeighedTicket
 from yieldmon.files.ticket_parts import with_parts_added
 
 from .contradictions import HeldTicket, contradictions
+from .crop_figures import crop
 from .mixed import mixed_loads
 from .placed import measured_mass_kg
 from .row_crops import row_crops
 from .table import UNKNOWN_SCALE_SD, Array, HarvestTable
-from .units import crop
 
 ALL = "all"
 """As the machine of a ticket: all that have a load of this name."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from yieldmon.units import KG_PER_LB
 
+from .crop_figures import crop
 from .table import Array, HarvestTable, Label
-from .units import crop
 
 
 def row_crops(table: HarvestTable) -> Label:

@@ -2,20 +2,14 @@
 
 A unit is looked up, never guessed: a spelling that is not here is an error that names it.
 
-Sources: NIST Special Publication 811, appendix B (pound, foot, acre). Bushel weights and market
-moistures: config/crops.yaml; of oats, rye and peas USDA test weights, 7 CFR 810.
+Source: NIST Special Publication 811, appendix B (pound, foot, acre).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache
 from math import pi
-from types import MappingProxyType
 
 from yieldmon.errors import InputError
-from yieldmon.files.crops import crops, shipped_name
 from yieldmon.units import (
     KG_PER_DT,
     KG_PER_LB,
@@ -33,60 +27,7 @@ from yieldmon.units import (
     S_PER_H,
 )
 
-
-@dataclass(frozen=True)
-class Crop:
-    """What a crop's name stands for.
-
-    Parameters
-    ----------
-    name : str
-        Common name in English.
-    bushel_lb : float
-        Weight of a standard bushel, lb.
-    market_moisture_pct : float
-        Moisture of dry mass, %.
-    """
-
-    name: str
-    bushel_lb: float
-    market_moisture_pct: float
-
-
-#: Crops that are shipped: their name in harvest files -> their name in config/crops.yaml, which has their figures.
-_SHIPPED = {
-    "corn": "corn",
-    "soybeans": "soybean",
-    "wheat": "wheat",
-    "barley": "barley",
-    "sorghum": "sorghum",
-    "canola": "rapeseed",
-    "rice": "rice",
-    "sunflower": "sunflower",
-}
-#: Name in config/crops.yaml -> name in harvest files.
-_NAMES = {of: name for name, of in _SHIPPED.items()}
-#: Crops that harvest files name and that no parameters are shipped for.
-_FURTHER = (Crop("oats", 32.0, 14.0), Crop("rye", 56.0, 14.0), Crop("peas", 60.0, 14.0))
-
-
-@cache
-def known_crops() -> Mapping[str, Crop]:
-    """Name -> crop."""
-    figures = crops()
-    found = {name: Crop(name, figures[of].bushel_lb, figures[of].market_moisture_pct) for name, of in _SHIPPED.items()}
-    return MappingProxyType(found | {crop.name: crop for crop in _FURTHER})
-
-
-#: Names in other languages of crops that are not shipped.
-_ALIASES = {"roggen": "rye", "hafer": "oats"}
-
-
-def crop(name: str) -> Crop | None:
-    """The crop that a file's name means, None for one that is not known (its bushel is then not known either)."""
-    plain = " ".join(name.lower().replace("_", " ").replace('"', " ").split())
-    return known_crops().get(_ALIASES.get(plain, _NAMES.get(shipped_name(plain) or "", plain)))
-
+from .crop_figures import crop, known_crops
 
 _MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": KG_PER_LB, "lbs": KG_PER_LB, "mg": 1e-6, "ton": KG_PER_SHORT_TON, "tonne": 1e3}
 # Decitonne and double hundredweight (German), quintal (French, Italian, Spanish), hectokilogram (Danish), all 100 kg.

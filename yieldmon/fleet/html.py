@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from yieldmon.documents.fleet import DayProblem, DaySummary, FleetReportDocument, MachineSummary, ParameterDrift, TicketRow
+from yieldmon.units import counted
 
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:75rem;padding:0 1rem;color:#1c2420;background:#fff}
@@ -42,15 +43,6 @@ def page(summary: FleetReportDocument) -> str:
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Fleet</title><style>{_STYLE}</style></head>'
         f"<body>{''.join(parts)}</body></html>\n"
     )
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things.
-
-    >>> counted(1, "machine"), counted(3, "machine")
-    ('1 machine', '3 machines')
-    """
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _problems(summary: FleetReportDocument) -> str:

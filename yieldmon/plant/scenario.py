@@ -26,7 +26,7 @@ _BY_NAME = Field(strict=False)
 """Strict would want a member, which no file can hold."""
 
 
-class Crop(StrictModel):
+class ScenarioCrop(StrictModel):
     """The grain, with its moisture running from start to end of the scenario."""
 
     friction: Annotated[float, Field(ge=0, le=1)] = 0.2
@@ -131,7 +131,7 @@ class Scenario(StrictModel):
         s.
     machine : str
         Name of a shipped machine file, or the path of one.
-    crop : Crop
+    crop : ScenarioCrop
         Grain and moisture (%).
     effects : Effects
         Physical effects that act, none by default.
@@ -161,7 +161,7 @@ class Scenario(StrictModel):
 
     duration_s: Annotated[float, Field(ge=1, le=400_000)] = 120.0
     machine: Annotated[str, Field(min_length=1)] = "sprocket-8"
-    crop: Crop = Crop()
+    crop: ScenarioCrop = ScenarioCrop()
     effects: Effects = Effects()
     flow: FlowProfile = FlowProfile(pieces=[Steady(kind="steady", duration_s=60.0, flow_kg_s=10.0)])
     elevator: ElevatorSettings = ElevatorSettings()

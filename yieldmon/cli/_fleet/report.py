@@ -9,8 +9,9 @@ from yieldmon.cli._json import print_document
 from yieldmon.documents.fleet import FleetReportDocument, MachineSummary
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
-from yieldmon.fleet.html import counted, page
+from yieldmon.fleet.html import page
 from yieldmon.fleet.summary import summarise
+from yieldmon.units import counted
 
 
 def run(args: argparse.Namespace) -> int:

@@ -24,9 +24,9 @@ from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
 
+from .closed_loop_forces import ClosedLoopForces, Forces, UnknownLayout
 from .closed_loop_inputs import MeasuredDensity, Sweep, WeighedMass
 from .flow_process import correlation, process_sd
-from .window_forces import Forces, UnknownLayout, WindowForces
 
 _LEAST_FLOW_KG_S, _LARGEST_FLOW_KG_S = 1e-3, 1e3
 _AT_END = 1e-6
@@ -121,7 +121,7 @@ class ClosedLoopProblem:
         self.at_angle = self._angles_in_common()
         slopes = len(self.sweeps) if settings.flow == "linear" else 0
         self.layout = UnknownLayout(len(self.names), len(self.sweeps), slopes, self.at_angle.shape[1])
-        self._forces = WindowForces(model, self.layout, self.names, self.fixed, self.sweeps, self.masses)
+        self._forces = ClosedLoopForces(model, self.layout, self.names, self.fixed, self.sweeps, self.masses)
         self.sweep_rows = self._forces.sweep_rows
 
     def _bounds(self, name: str, mean: float, *, weighed: bool) -> tuple[float, float]:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.field.crop_figures import crop as known_crop
 from yieldmon.field.mixed import machine_names
 from yieldmon.field.plane import Sites
 from yieldmon.field.repeated_hour import counted_on
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
 from yieldmon.field.units import FACTORS, factor, is_bushels
-from yieldmon.field.units import crop as known_crop
 from yieldmon.physics.grain import DRIEST_PCT
 
 from .crop_names import crop_names

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from yieldmon.field.crop_figures import crop
 from yieldmon.field.table import Label
-from yieldmon.field.units import crop
 
 
 def crop_names(own: Label, given: str) -> tuple[Label, tuple[str, ...]]:

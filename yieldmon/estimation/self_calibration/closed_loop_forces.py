@@ -92,7 +92,7 @@ class _WeighedFlows:
         return np.clip(self.flow + self.by_theta @ (theta - self.theta), 0.5 * self.flow, 2.0 * self.flow)
 
 
-class WindowForces:
+class ClosedLoopForces:
     """The windows of sweeps and, after them, of weighed loads.
 
     The flow of a sweep is in the unknown vector; that of a weighed load is whatever explains its forces.
