@@ -70,7 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="moisture of dry mass (default: the crop's market moisture, else 15.5)",
     )
     points.add_argument("--field", metavar="NAME", help="name of the field (default: the load's, else field)")
-    points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn; in task data none)")
+    points.add_argument("--grain", metavar="NAME", help="name of the crop (default: the load's, else corn)")
 
 
 def run(args: argparse.Namespace) -> int:
