@@ -14,13 +14,20 @@ is cutting: then the zero stands still.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite
-from statistics import median
 from typing import Any
 
+from yieldmon.engine.sampling.paddle_pattern import (
+    Departure,
+    RecentWindows,
+    mean_level,
+    mean_speed,
+    middle_level,
+    pulse_mv,
+    speed_factor,
+)
 from yieldmon.engine.sampling.windows import Window, coherent_amplitudes
 from yieldmon.engine.settings import ZeroSettings
 
@@ -77,11 +84,7 @@ class ZeroTracker:
         self._settings = settings
         self._sees_pulses = sees_pulses
         self._state: ZeroState | None = None
-        self._recent: deque[Window] = deque(maxlen=settings.settle_windows)
-        self._pattern: tuple[tuple[float, ...], float] | None = None
-        """Amplitudes of the last windows' harmonics, mV, and their speed, rad/s."""
-        self._compared: tuple[tuple[float, ...], float, bool, bool] | None = None
-        """Vibration and speed that `_pattern` was compared with; whether it is above; whether it is above or below."""
+        self._recent = RecentWindows(settings)
         self._calibrating = False
         self._against_signs = False
         self._after_suspect = False
@@ -196,7 +199,8 @@ class ZeroTracker:
     @property
     def looks_empty(self) -> bool:
         """Whether the last windows show only the measured vibration; False also while that is unknown."""
-        return len(self._recent) == self._settings.settle_windows and self._excess(below=True) is False
+        departure = self._departure_from(self._state)
+        return departure is not None and not departure.either
 
     @property
     def level_says_nothing(self) -> bool:
@@ -206,45 +210,49 @@ class ZeroTracker:
     @property
     def looks_loaded(self) -> bool:
         """Whether the last windows show paddle pulses beyond the vibration; False also while that is unknown."""
-        return len(self._recent) == self._settings.settle_windows and self._excess(below=False) is True
+        departure = self._departure_from(self._state)
+        return departure is not None and departure.above
+
+    def _departure_from(self, state: ZeroState | None) -> Departure | None:
+        """Of the last windows from the vibration of a zero; None while one of them is unknown."""
+        if state is None or not state.vibration_mv or not self._recent.full:
+            return None
+        return self._recent.departure(state.vibration_mv, state.speed_rad_s)
 
     @property
     def drifted(self) -> bool:
         """Whether the zero is further from the first zero than allowed, or the empty level too far from the zero to follow."""
-        state = self._state
-        if state is None:
-            return False
-        away = self.suspect or abs(state.zero_mv - state.first_zero_mv) > self._settings.drift_limit_mv
-        return away or self.below_empty or self._far_mv(state) != 0.0
+        return bool(self.drift)
 
     def _far_mv(self, state: ZeroState) -> float:
         """Difference of the empty level from the zero, mV, as last seen; 0 where it is near enough to follow."""
         if not self.looks_empty:
             return self.far_mv
-        away_mv = self._recent[-1].mean_mv - state.zero_mv
+        away_mv = self._recent.newest.mean_mv - state.zero_mv
         return away_mv if abs(away_mv) > self._settings.max_step_mv else 0.0
 
     @property
     def drift(self) -> str:
         """What is wrong with the zero, for the operator; "" where nothing is."""
         state = self._state
-        if state is None or not self.drifted:
+        if state is None:
             return ""
         if self.suspect:
             return "the last zero was taken despite signs of grain"
         if self.below_empty:
-            return f"the plate reads {state.zero_mv - self._recent[-1].mean_mv:.0f} mV below empty"
+            return f"the plate reads {state.zero_mv - self._recent.newest.mean_mv:.0f} mV below empty"
         away_mv = state.zero_mv - state.first_zero_mv
         if abs(away_mv) > self._settings.drift_limit_mv:
             return f"the zero is {away_mv:+.0f} mV from its first value"
-        return f"the empty elevator reads {self._far_mv(state):+.0f} mV from the zero"
+        far_mv = self._far_mv(state)
+        return f"the empty elevator reads {far_mv:+.0f} mV from the zero" if far_mv != 0.0 else ""
 
     @property
     def below_empty(self) -> bool:
         """Whether the plate has read below empty for some time: the zero was taken with grain."""
-        if self._state is None or len(self._recent) < self._settings.settle_windows:
+        if self._state is None or not self._recent.full:
             return False
-        return all(window.mean_mv < self._state.zero_mv - self._settings.max_step_mv for window in self._recent)
+        return all(window.mean_mv < self._state.zero_mv - self._settings.max_step_mv for window in self._recent.all)
 
     def pulses(self, window: Window) -> bool:
         """Whether one window has paddle pulses beyond vibration."""
@@ -264,12 +272,11 @@ class ZeroTracker:
         return max(usual * self._settings.window_pulse_margin, usual + self._settings.window_pulse_margin_mv)
 
     def _usual_pulse_mv(self, state: ZeroState, window: Window) -> float:
-        return state.window_pulse_mv * _speed_factor(window.speed_rad_s, state.speed_rad_s)
+        return state.window_pulse_mv * speed_factor(window.speed_rad_s, state.speed_rad_s)
 
     def interrupt(self) -> None:
         """Discard the windows collected (sensor lost, plate moved, elevator out of its range)."""
         self._recent.clear()
-        self._pattern = self._compared = None
 
     def lack(self, window: Window, obstacle: str) -> None:
         """Note a window that has samples and a valid elevator speed, but from which no zero can be taken."""
@@ -288,134 +295,75 @@ class ZeroTracker:
         if not isfinite(window.mean_mv):
             self.interrupt()
             return
-        self._recent.append(window)
-        self._pattern = self._compared = None
+        self._recent.add(window)
+        windows = self._recent.all
         if self._calibrating:
-            if len(self._recent) == self._settings.settle_windows:
+            if self._recent.full:
                 against_signs = self._against_signs or (self._after_suspect and not self._empty_by_before())
-                self._state = self._measured(list(self._recent))
+                self._state = _measured(windows)
                 self._calibrating, self.far_mv = False, 0.0
                 away_mv = abs(self._state.zero_mv - self._before.zero_mv) if self._before is not None else 0.0
                 self.suspect = against_signs and away_mv > self._settings.level_range_mv
-                self.known_s, self.taken_from_s = window.end_s, self._recent[0].start_s
+                self.known_s, self.taken_from_s = window.end_s, windows[0].start_s
         elif may_be_empty and self._state is None:
-            self._first(list(self._recent)[-self._settings.first_zero_windows :])
+            self._first(windows[-self._settings.first_zero_windows :])
         elif may_be_empty and self._state is not None:
             if self._state.vibration_mv:
-                self._follow(self._state, window)
-            else:
-                self._measure_vibration(self._state)
+                self._follow(self._state, windows)
+            elif self._recent.full:
+                self._measure_vibration(self._state, windows)
         elif self._state is None:
             self.lack(window, "the machine is cutting, by header and work state (check them if it is not)")
 
     def _empty_by_before(self) -> bool:
         """Whether the last windows look empty by the vibration of the zero before. That of a suspect zero may be of grain."""
-        before = self._before
-        if before is None or not before.vibration_mv or not self._sees_pulses:
-            return False
-        return self._departure(before) == (False, False)
+        departure = self._departure_from(self._before) if self._sees_pulses else None
+        return departure is not None and not departure.either
 
     def _first(self, windows: list[Window]) -> None:
         if len(windows) < self._settings.first_zero_windows:
             return
         if self._quiet(windows):
-            zero = _mean_level(windows)
-            pulse = max(window.pulse_mv for window in windows)
-            self._state = ZeroState(zero, zero, _mean_speed(windows), pulse)
+            self._state = _measured(windows, vibration=False)
             self.known_s, self.taken_from_s = windows[-1].end_s, windows[0].start_s
             return
         waited_s = self._waited_s + windows[-1].end_s - windows[-1].start_s
         levels = [window.mean_mv for window in windows]
-        self._refusal = ZeroRefusal(waited_s, _pulse_mv(windows), max(levels) - min(levels))
+        self._refusal = ZeroRefusal(waited_s, pulse_mv(windows), max(levels) - min(levels))
 
-    def _measure_vibration(self, state: ZeroState) -> None:
-        windows = list(self._recent)
+    def _measure_vibration(self, state: ZeroState, windows: list[Window]) -> None:
         near = all(abs(window.mean_mv - state.zero_mv) <= self._settings.level_range_mv for window in windows)
-        if near and len(windows) == self._settings.settle_windows and self._quiet(windows):
-            found = self._measured(windows)
-            self._state = ZeroState(
-                _middle_level(windows), state.first_zero_mv, found.speed_rad_s, found.window_pulse_mv, found.vibration_mv
-            )
+        if near and self._quiet(windows):
+            self._state = replace(_measured(windows), zero_mv=middle_level(windows), first_zero_mv=state.first_zero_mv)
             self.known_s = windows[-1].end_s
 
-    def _follow(self, state: ZeroState, window: Window) -> None:
+    def _follow(self, state: ZeroState, windows: list[Window]) -> None:
         settings = self._settings
         if not self.looks_empty:
             return
         # Grain only adds. A trickle that begins has loaded most windows before their mean amplitude shows it, but not the oldest.
-        windows = list(self._recent)
-        step = min(windows[0].mean_mv, _middle_level(windows)) - state.zero_mv
+        step = min(windows[0].mean_mv, middle_level(windows)) - state.zero_mv
         if abs(step) > settings.max_step_mv:
             self.far_mv = self._far_mv(state)
             return
         # Grain that dies away has left least in the newest; a level that falls further is of something else.
-        newest = _middle_level(windows[-_NEWEST:]) - state.zero_mv
+        newest = middle_level(windows[-_NEWEST:]) - state.zero_mv
         step = min(step, newest) if newest >= -settings.max_step_mv else step
-        self.known_s, self.far_mv = window.end_s, 0.0
-        seconds = window.end_s - window.start_s
+        self.known_s, self.far_mv = windows[-1].end_s, 0.0
+        seconds = windows[-1].end_s - windows[-1].start_s
         limit = settings.max_rate_mv_s * seconds
         change = min(limit, max(-limit, seconds / settings.follow_time_s * step))
-        self._state = ZeroState(
-            state.zero_mv + change, state.first_zero_mv, state.speed_rad_s, state.window_pulse_mv, state.vibration_mv
-        )
+        self._state = replace(state, zero_mv=state.zero_mv + change)
 
     def _quiet(self, windows: list[Window]) -> bool:
         levels = [window.mean_mv for window in windows]
         return (
-            _pulse_mv(windows) <= self._settings.first_pulse_limit_mv
+            pulse_mv(windows) <= self._settings.first_pulse_limit_mv
             and max(levels) - min(levels) <= self._settings.level_range_mv
         )
 
-    def _measured(self, windows: list[Window]) -> ZeroState:
-        zero = _mean_level(windows)
-        pulse = max(window.pulse_mv for window in windows)
-        return ZeroState(zero, zero, _mean_speed(windows), pulse, coherent_amplitudes(windows))
 
-    def _excess(self, *, below: bool) -> bool | None:
-        """Whether any harmonic is above (or, with below, also below) vibration; None while vibration is unknown."""
-        state = self._state
-        if state is None or not state.vibration_mv:
-            return None
-        compared = self._compared
-        if compared is None or compared[0] is not state.vibration_mv or compared[1] != state.speed_rad_s:
-            compared = self._compared = (state.vibration_mv, state.speed_rad_s, *self._departure(state))
-        return compared[3] if below else compared[2]
-
-    def _departure(self, state: ZeroState) -> tuple[bool, bool]:
-        """Whether any harmonic is above vibration, and whether any is above or below it."""
-        if self._pattern is None:
-            self._pattern = coherent_amplitudes(self._recent), _mean_speed(self._recent)
-        amplitudes, speed_rad_s = self._pattern
-        factor = _speed_factor(speed_rad_s, state.speed_rad_s)
-        lower = False
-        for amplitude, known in zip(amplitudes, state.vibration_mv, strict=False):
-            usual = known * factor
-            margin = max(self._settings.pulse_margin_mv, self._settings.pulse_margin * usual)
-            if amplitude - usual > margin:
-                return True, True
-            lower = lower or usual - amplitude > margin
-        return False, lower
-
-
-def _pulse_mv(windows: Sequence[Window]) -> float:
-    """Amplitude of what keeps step with the paddles, over all harmonics of the pattern."""
-    power = sum(amplitude**2 for amplitude in coherent_amplitudes(windows))
-    return float(power**0.5)
-
-
-def _mean_level(windows: Sequence[Window]) -> float:
-    return sum(window.mean_mv for window in windows) / len(windows)
-
-
-def _middle_level(windows: Sequence[Window]) -> float:
-    """Median of the levels, mV: the last grain after a stop, and a trickle that has just begun, do not raise it."""
-    return median([window.mean_mv for window in windows])
-
-
-def _mean_speed(windows: Sequence[Window] | deque[Window]) -> float:
-    return sum([window.speed_rad_s for window in windows]) / len(windows)
-
-
-def _speed_factor(speed_rad_s: float, measured_at_rad_s: float) -> float:
-    """Growth of vibration from one speed to another: unbalance grows with the square of the speed."""
-    return (speed_rad_s / measured_at_rad_s) ** 2 if measured_at_rad_s > 0.0 else 1.0
+def _measured(windows: list[Window], *, vibration: bool = True) -> ZeroState:
+    """The zero of windows that are taken as empty; vibration: measure it too."""
+    zero, pulse = mean_level(windows), max(window.pulse_mv for window in windows)
+    return ZeroState(zero, zero, mean_speed(windows), pulse, coherent_amplitudes(windows) if vibration else ())
