@@ -18,8 +18,9 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome, CalibrationStep
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.self_calibration.curve_states import aligned
+from yieldmon.engine.self_calibration.held_since import Instant
 from yieldmon.engine.self_calibration.load_update import LoadUpdate
-from yieldmon.engine.self_calibration.parameter_knowledge import KERNEL_NOISE, Carried, Instant, ParameterKnowledge
+from yieldmon.engine.self_calibration.parameter_knowledge import KERNEL_NOISE, Carried, ParameterKnowledge
 from yieldmon.engine.self_calibration.parameter_lineage import ParameterLineage
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.reference_mass_inputs import moisture_sd, with_angle_error

@@ -16,7 +16,7 @@ from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState
 from yieldmon.engine.self_calibration.drift_deviation import DriftDeviation, RateSpread, after_update, as_stated, force_deviation
-from yieldmon.engine.self_calibration.earlier_parameters import Places, moved, place_of, remembered
+from yieldmon.engine.self_calibration.held_since import HeldSince, Instant
 from yieldmon.engine.self_calibration.prior_states import as_tuples
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration import drift_spread
@@ -47,14 +47,6 @@ _LEAST_FOLLOWED = 1e-5
 """Least relative change of a parameter by steady drift for which the parameters are moved."""
 
 
-class Instant(NamedTuple):
-    """Bus time, mass in total, and moisture of the grain, nan where it is not known or does not matter."""
-
-    time_s: float
-    total_kg: float
-    moisture_pct: float
-
-
 class Carried(NamedTuple):
     """Parameters and rates as known now, and the step to them from the last update."""
 
@@ -77,33 +69,23 @@ class ParameterKnowledge:
 
     def __init__(self, settings: CalibratorSettings) -> None:
         self._settings = settings
-        self._at = Instant(nan, nan, nan)
-        """The last update, or since when the parameters in use are known to hold."""
-        self._waited_s = 0.0
-        """Time from the last update to a restart, s."""
-        self._before_s: float | None = None
-        """Bus time of the last update before a restart, s."""
+        self._since = HeldSince()
         self._drifting: DriftingParameters | None = None
         self._bias: tuple[CommonBias, ParameterSet] | None = None
         """Bias of kernel noise, and the parameters that its covariance refers to; None where kernel noise has not updated
         these."""
         self._spread: RateSpread | None = None
         self._deviation: DriftDeviation | None = None
-        self._past: Places = ()
-        self._outside: tuple[ParameterSet, float] | None = None
-        """Parameters from outside with which no window was measured yet, and grain since their estimation, kg."""
-        self._placed: ParameterSet | None = None
-        """Parameters in use that did not come from an update here, where it is known since when they hold."""
 
     @property
     def since_s(self) -> float:
         """Bus time of the last update, s; nan where not known yet."""
-        return self._at.time_s
+        return self._since.at.time_s
 
     @property
     def moisture_pct(self) -> float:
         """Of the grain for which the parameters hold; nan where it is not known."""
-        return self._at.moisture_pct
+        return self._since.at.moisture_pct
 
     @property
     def drifting(self) -> DriftingParameters:
@@ -119,17 +101,17 @@ class ParameterKnowledge:
     def now(self, used: ParameterSet, at: Instant) -> Carried:
         """The parameters in use, moved by moisture and steady rates, and widened by random drift."""
         start = known = self._start(used)
-        self.begin_counting(used, at.time_s, at.total_kg)
+        self._since.begin_counting(used, at.time_s, at.total_kg)
         moisture_map = self._settings.moisture_map
         if moisture_map is not None and isfinite(at.moisture_pct):
-            if isfinite(self._at.moisture_pct):
-                known = carried(known, moisture_map.moved(known.parameters, self._at.moisture_pct, at.moisture_pct))
+            if isfinite(self._since.at.moisture_pct):
+                known = carried(known, moisture_map.moved(known.parameters, self._since.at.moisture_pct, at.moisture_pct))
             else:
-                self._at = self._at._replace(moisture_pct=at.moisture_pct)
-        self._begin_time(at)
-        hours = max(at.time_s - self._at.time_s, 0.0) / 3600.0
+                self._since.set_moisture(at.moisture_pct)
+        self._since.begin(at)
+        hours = max(at.time_s - self._since.at.time_s, 0.0) / 3600.0
         later, step = advance(
-            known, self._settings.drift, hours, self._harvested_kg(at.total_kg),
+            known, self._settings.drift, hours, self._since.harvested_kg(at.total_kg),
             per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
         )  # fmt: skip
         before, by_moisture = start.state, known.state
@@ -146,11 +128,11 @@ class ParameterKnowledge:
         """The bias of kernel noise as it is now; None where its covariance with these parameters is not known."""
         if self._bias is None or self._bias[1] is not used or len(self._bias[0].cross) != len(step.transition):
             return None
-        return common_bias.carried(self._bias[0], step.transition, total_kg - self._at.total_kg)
+        return common_bias.carried(self._bias[0], step.transition, total_kg - self._since.at.total_kg)
 
     def has_drifted(self, used: ParameterSet, total_kg: float) -> bool:
         """Whether steady drift has moved the parameters noticeably, over enough grain."""
-        known, harvested_kg = self._drifting, total_kg - self._at.total_kg
+        known, harvested_kg = self._drifting, total_kg - self._since.at.total_kg
         if known is None or known.parameters is not used or not harvested_kg >= FOLLOWED_KG:
             return False
         return bool(np.any(np.abs(known.rates) * (harvested_kg / KG_PER_KT) > _LEAST_FOLLOWED))
@@ -178,7 +160,7 @@ class ParameterKnowledge:
         bias = self.bias(used, came.step, at.total_kg) if drifting is came.drifting else None
         whole = came.drifting.joint.shape == came.step.covariance_after.shape
         spread = self._spread_at(used, came, at.total_kg) if whole else None
-        self._supersede(used, at)
+        self._since.supersede(used, at)
         if not outcome.updated:
             # The moisture map or the drift alone has moved the values; the new prior is what is known.
             now = carried(drifting, replace(before, version=used.version + 1))
@@ -207,7 +189,7 @@ class ParameterKnowledge:
     ) -> None:
         """Take an update by kernel noise, from the parameters used until now to `known`; came: as `now` returned it."""
         spread = drift_spread.updated(self._spread_at(used, came, at.total_kg), update.errors)
-        self._supersede(used, at)
+        self._since.supersede(used, at)
         self._hold(replace(update.drifting, parameters=known), update.bias, spread)
 
     def use(self, before: ParameterSet | None, used: ParameterSet, harvested_kg: float) -> None:
@@ -221,26 +203,11 @@ class ParameterKnowledge:
         harvested_kg : float
             Grain since they were estimated, where they come from outside, kg.
         """
-        if before is not None:
-            self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
-        place = place_of(self._past, used)
-        if place is None:
-            self._outside = used, harvested_kg
-            return
-        self._outside, self._placed = None, used
-        self._at = self._at._replace(time_s=place.at_s, total_kg=place.at_kg)
+        self._since.use(before, used, harvested_kg)
 
     def begin_counting(self, used: ParameterSet, now_s: float, total_kg: float) -> None:
         """With the first window: start counting time and grain for parameters from outside."""
-        if self._outside is not None and self._outside[0] is used:
-            self._at = self._at._replace(time_s=now_s, total_kg=total_kg - self._outside[1])
-            self._placed = used
-        self._outside = None
-
-    def _supersede(self, before: ParameterSet, at: Instant) -> None:
-        """Note the time of an update, and remember that of the parameters before."""
-        self._past = remembered(self._past, before, self._at.time_s, self._at.total_kg)
-        self._at = at
+        self._since.begin_counting(used, now_s, total_kg)
 
     def _hold(self, drifting: DriftingParameters, bias: CommonBias | None, spread: Array | None) -> None:
         self._drifting = drifting
@@ -250,23 +217,22 @@ class ParameterKnowledge:
     def is_new(self, used: ParameterSet) -> bool:
         """Whether these parameters came into use since the last call of `deviation`, and it is not known since when they hold."""
         seen = self._deviation
-        return seen is not None and seen.parameters is not used and used is not self._placed
+        return seen is not None and seen.parameters is not used and not self._since.is_of(used)
 
     def hold_from(self, record: WindowRecord) -> None:
         """Take the parameters in use as estimated at this window."""
-        self._at = self._at._replace(time_s=record.time_s, total_kg=record.total_kg)
+        self._since.move(record.time_s, record.total_kg)
 
     def deviation(self, model: ForwardModel, used: ParameterSet, record: WindowRecord) -> float:
         """Relative standard deviation of the force by drift since the last update, beyond the parameters' covariance.
 
         Computed anew after each `FOLLOWED_KG` of grain.
         """
-        if not isfinite(self._at.total_kg):
-            self._at = self._at._replace(total_kg=record.total_kg)
+        self._since.begin_total(record.total_kg)
         seen = self._deviation
         if seen is None or seen.parameters is not used:
             seen = DriftDeviation(0.0, used, -1)
-        steps = int(self._harvested_kg(record.total_kg) // FOLLOWED_KG)
+        steps = int(self._since.harvested_kg(record.total_kg) // FOLLOWED_KG)
         if seen.steps != steps and record.mass_flow_kg_s > 0.0:
             if steps:
                 now = self.now(used, Instant(record.time_s, record.total_kg, nan))
@@ -279,36 +245,32 @@ class ParameterKnowledge:
 
     def totals_reset(self, before_kg: float) -> None:
         """The total begins anew at 0; it was before_kg."""
-        self._at = self._at._replace(total_kg=self._at.total_kg - before_kg)
-        self._past = moved(self._past, -before_kg)
+        self._since.totals_reset(before_kg)
 
     def snapshot(self, now_s: float, total_kg: float) -> CalibratorState | None:
         """The state to keep for a restart, without weighed loads and crops; None: nothing. now_s: bus time, s, nan before the
         first frame."""
-        if not isfinite(self._at.total_kg):
+        at, known = self._since.at, self._drifting
+        if not isfinite(at.total_kg):
             return None
-        known, timed = self._drifting, isfinite(self._at.time_s)
         count = 0 if known is None else len(known.parameters.covariance_names)
         return CalibratorState(
-            # Before the first frame of a run, an undo may restore parameters of an earlier run.
-            waited_s=max(now_s - self._at.time_s, 0.0) if timed and isfinite(now_s) else self._waited_s,
-            harvested_kg=self._harvested_kg(total_kg),
-            moisture_pct=self._at.moisture_pct if isfinite(self._at.moisture_pct) else None,
+            waited_s=self._since.waited_s(now_s),
+            harvested_kg=self._since.harvested_kg(total_kg),
+            moisture_pct=at.moisture_pct if isfinite(at.moisture_pct) else None,
             drifting=() if known is None else known.names,
             rates=() if known is None else tuple(map(float, known.rates)),
             covariance=() if known is None else as_tuples(known.joint[count:]),
-            at_s=self._at.time_s if timed else self._before_s,
+            at_s=self._since.at_s,
             bias=self._kept_bias(),
             spread=self._kept_spread(),
-            past=self._past,
+            past=self._since.past,
         )
 
     def restore(self, state: CalibratorState, parameters: ParameterSet, total_kg: float) -> None:
         """Go on from a snapshot, with the parameters that were in use then."""
-        self._before_s, self._waited_s = state.at_s, state.waited_s
-        self._past, self._outside, self._placed = state.past, None, parameters
-        moisture_pct = nan if state.moisture_pct is None else state.moisture_pct
-        self._at = self._at._replace(total_kg=total_kg - state.harvested_kg, moisture_pct=moisture_pct)
+        at = Instant(nan, total_kg - state.harvested_kg, nan if state.moisture_pct is None else state.moisture_pct)
+        self._since.restore(parameters, at, at_s=state.at_s, waited_s=state.waited_s, past=state.past)
         fresh = begin(parameters, self._settings.steady_per_kilotonne)
         if len(state.bias) == 3 + len(fresh.joint) and fresh.parameters is parameters:
             value, variance, largest, *cross = state.bias
@@ -329,23 +291,10 @@ class ParameterKnowledge:
             return begin(self.patterned(used), self._settings.steady_per_kilotonne)
         return known
 
-    def _begin_time(self, at: Instant) -> None:
-        """Before the first update of a run: count from now, less the waiting time of the run before."""
-        if not isfinite(self._at.time_s):
-            # If bus time has begun anew, the stored time of the update is useless.
-            before_s = self._before_s
-            since_s = before_s if before_s is not None and before_s <= at.time_s else at.time_s - self._waited_s
-            self._at = self._at._replace(time_s=since_s)
-        if not isfinite(self._at.total_kg):
-            self._at = self._at._replace(total_kg=at.total_kg)
-
-    def _harvested_kg(self, total_kg: float) -> float:
-        return max(total_kg - self._at.total_kg, 0.0)
-
     def _spread_at(self, used: ParameterSet, later: Carried, total_kg: float) -> Array:
         """Covariance that rates of unknown size may have added until now; later: as `now` returned it."""
         gone = forgotten(
-            self._start(used), self._harvested_kg(total_kg),
+            self._start(used), self._since.harvested_kg(total_kg),
             per_kilotonne=self._settings.steady_per_kilotonne, memory_kt=self._settings.steady_drift_memory_kt,
         )  # fmt: skip
         return RateSpread.at(self._spread, used, later.step, later.drifting, gone)
