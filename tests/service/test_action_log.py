@@ -14,9 +14,9 @@ def test_tickets_that_update_wait_until_they_are_taken_or_taken_back() -> None:
     log = ActionLog((), (), 5.0)
     tickets = [Ticket(float(n), n, n, 100.0 + n, 99.0, "") for n in range(1, 4)]
     assert [log.ticket(ticket, is_reference=ticket.first_load != 2) for ticket in tickets] == [1, 2, 3]
-    assert log.waiting == (1, 3)
+    assert log.updates.waiting == (1, 3)
     assert log.undo_ticket(3, "somebody", 6.0) == tickets[2]
-    assert log.waiting == (1,)
+    assert log.updates.waiting == (1,)
 
 
 def weighed(count: int) -> ActionLog:
@@ -28,7 +28,7 @@ def weighed(count: int) -> ActionLog:
 
 def updated(log: ActionLog, version: int) -> None:
     """All tickets that wait led to one version."""
-    references = tuple((n, 100.0 + n) for n in log.waiting)
+    references = tuple((n, 100.0 + n) for n in log.updates.waiting)
     numbers = log.take_behind(ParametersChanged(parameter_file.load(), "ticket", "", references=references))
     log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "ticket", "tickets": numbers})
 
@@ -53,7 +53,7 @@ def test_of_two_tickets_for_one_load_with_one_mass_each_is_behind_one_change() -
         log.ticket(Ticket(time_s, 4, 4, 101.0, 99.0, ""), is_reference=True)
     change = ParametersChanged(parameter_file.load(), "ticket", "", references=((4, 101.0),))
     assert [log.take_behind(change) for _ in range(3)] == [[1], [2], []]
-    assert (log.waiting, log.unfinished) == ((), (1, 2))
+    assert (log.updates.waiting, log.unfinished) == ((), (1, 2))
 
 
 def test_a_version_of_an_earlier_store_names_what_had_updated_before_too() -> None:
@@ -75,7 +75,7 @@ def test_tickets_of_which_nothing_came_are_taken_again_with_the_next() -> None:
     log.ticket(Ticket(7.0, 3, 3, 103.0, 99.0, ""), is_reference=True)
     updated(log, 2)
     assert log.take_to_measure(2) == ((1, 3), 2)
-    assert (log.waiting, log.unfinished) == ((), (1, 3))
+    assert (log.updates.waiting, log.unfinished) == ((), (1, 3))
 
 
 def test_a_load_given_another_crop_while_it_is_measured_again_keeps_what_that_crop_says() -> None:
@@ -117,9 +117,9 @@ def test_a_refused_ticket_has_no_loads_measured_again() -> None:
     log = weighed(2)
     updated(log, 1)
     log.ticket(Ticket(7.0, 3, 3, 190.0, 99.0, ""), is_reference=True)
-    assert log.waiting == (3,)
-    log.handed_over()
-    assert (log.waiting, log.unfinished, log.take_to_measure(1)) == ((), (1, 2), ((1, 2), 1))
+    assert log.updates.waiting == (3,)
+    log.updates.handed_over()
+    assert (log.updates.waiting, log.unfinished, log.take_to_measure(1)) == ((), (1, 2), ((1, 2), 1))
 
 
 def test_what_was_measured_again_after_a_ticket_is_measured_once_more_where_it_went_with_another() -> None:

@@ -158,7 +158,7 @@ def test_a_ticket_for_another_crop_than_the_one_in_use_waits_for_its_return() ->
     answer = commands.execute(request, monitor, known, 1.7e9)
     assert (answer["is_reference"], answer["waits_for_crop"], answer["why_no_reference"]) == (True, "corn", "")
     assert (monitor.tickets, monitor.for_crops) == ([(1, 3100.0, pytest.approx(15.5))], ["corn"])
-    assert (known.actions.waiting, known.actions.unfinished_of_crop) == ((), {"corn": (1,)})
+    assert (known.actions.updates.waiting, known.actions.updates.of_crop) == ((), {"corn": (1,)})
 
 
 def test_a_ticket_for_loads_of_two_crops_updates_none_of_them() -> None:

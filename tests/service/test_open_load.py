@@ -114,5 +114,5 @@ def test_the_first_closed_load_is_taken_and_the_newest_of_what_it_is_measured_by
     log.remeasured((), 5, {}, open_load=8)
     assert log.closed_load(8) == (7, Remeasuring((), 5))
     log.remeasured((), 6, {7: 1.1}, open_load=8, closed_load=7)
-    assert log.open_loads == {8: Remeasuring((), 5)}
+    assert log.remeasuring.open_loads == {8: Remeasuring((), 5)}
     assert log.history.ledger.factors == {7: 1.1}

@@ -165,9 +165,11 @@ class Desk:
             self.play(1, 0.0)
             totals, actions = self.monitor.totals, self.actions
             closed = actions.closed_load(totals.load_number if totals.load_open else None)
-            if not (self.monitor.masses_wait or actions.unfinished or actions.restored or closed or self.remeasuring.busy):
+            if not (
+                self.monitor.masses_wait or actions.unfinished or actions.remeasuring.restored or closed or self.remeasuring.busy
+            ):
                 return
-        raise AssertionError(f"waits for ever: {actions.unfinished}, {actions.restored}, {closed}")
+        raise AssertionError(f"waits for ever: {actions.unfinished}, {actions.remeasuring.restored}, {closed}")
 
     def do(self, step: Step) -> None:
         kind, request = step.kind, dict(step.request)
@@ -513,7 +515,7 @@ def test_loads_are_measured_again_once_a_slow_disk_has_what_was_handed_to_it(tmp
     assert desk.actions.unfinished == (1, 2)
     desk.do(undo(1))
     desk.play(4, 0.0)
-    assert desk.actions.restored
+    assert desk.actions.remeasuring.restored
     written.append(True)
     desk.settle()
     again = {row["number"] for row in desk.ask("loads")["loads"] if row["posted_mass_kg"] is not None}

@@ -158,20 +158,20 @@ def test_loads_are_measured_again_though_the_daemon_was_killed_meanwhile() -> No
     log.ticket(tickets[0], is_reference=True)
     assert log.unfinished == (1,)
     before = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
-    assert (before.waiting, before.measuring_waits) == ((1,), False)
+    assert (before.updates.waiting, before.measuring_waits) == ((1,), False)
     led_to(log, 2)
     assert log.take_to_measure(2) == ((1,), 2)
     assert log.unfinished == (1,), "while they are measured"
     after = ActionLog(tickets, tuple(log), 0.0, log.unfinished)
-    assert (after.waiting, after.take_to_measure(2)) == ((), ((1,), 2))
+    assert (after.updates.waiting, after.take_to_measure(2)) == ((), ((1,), 2))
     log.remeasured((1,), 2, {})
     assert log.unfinished == ()
-    assert ActionLog([], [], 0.0, (1,)).waiting == (), "a ticket that the store lost"
+    assert ActionLog([], [], 0.0, (1,)).updates.waiting == (), "a ticket that the store lost"
 
 
 def led_to(log: ActionLog, version: int) -> None:
     """All tickets that wait led to one version."""
-    change = ParametersChanged(parameter_file.load(), "ticket", "", references=tuple((n, 100.0) for n in log.waiting))
+    change = ParametersChanged(parameter_file.load(), "ticket", "", references=tuple((n, 100.0) for n in log.updates.waiting))
     numbers = log.take_behind(change)
     log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "ticket", "tickets": numbers})
 
@@ -186,19 +186,19 @@ def log_of(count: int) -> ActionLog:
 
 def test_tickets_of_a_crop_that_is_left_before_they_update_wait_for_its_return() -> None:
     log = log_of(1)
-    log.change_crop("wheat", "corn")
-    assert (log.waiting, log.unfinished, log.unfinished_of_crop) == ((), (), {"wheat": (1,)})
+    log.updates.change_crop("wheat", "corn")
+    assert (log.updates.waiting, log.unfinished, log.updates.of_crop) == ((), (), {"wheat": (1,)})
     log.ticket(Ticket(2.0, 2, 2, 100.0, 90.0, ""), is_reference=True)
     led_to(log, 5)
     assert log.take_to_measure(5) == ((2,), 5)
     log.remeasured((2,), 5, {})
     tickets = [Ticket(1.0, number, number, 100.0, 90.0, "") for number in (1, 2)]
-    after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.unfinished_of_crop)
-    after.change_crop("corn", "wheat")
-    assert (after.waiting, after.unfinished_of_crop) == ((1,), {})
-    assert ActionLog(tickets[:1], (), 0.0, (), {"wheat": (1, 2)}).unfinished_of_crop == {"wheat": (1,)}, "the store lost one"
+    after = ActionLog(tickets, tuple(log), 0.0, log.unfinished, log.updates.of_crop)
+    after.updates.change_crop("corn", "wheat")
+    assert (after.updates.waiting, after.updates.of_crop) == ((1,), {})
+    assert ActionLog(tickets[:1], (), 0.0, (), {"wheat": (1, 2)}).updates.of_crop == {"wheat": (1,)}, "the store lost one"
     log.undo_ticket(1, "", 3.0)
-    assert log.unfinished_of_crop == {}
+    assert log.updates.of_crop == {}
 
 
 def test_an_undo_names_the_standing_ticket_whose_update_goes_with_it() -> None:
@@ -224,7 +224,7 @@ def test_loads_are_measured_again_with_the_crop_that_their_ticket_updated_though
     led_to(log, 2)
     for version in (3, 4):
         log.add(PARAMETERS, "", {"version": version, "from_version": version - 1, "origin": "crop", "tickets": []})
-    log.change_crop("wheat", "corn")
+    log.updates.change_crop("wheat", "corn")
     log.ticket(Ticket(2.0, 3, 3, 100.0, 90.0, ""), is_reference=True)
     led_to(log, 5)
     assert log.take_to_measure(5) == ((1, 2), 2)

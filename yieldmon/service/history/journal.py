@@ -143,7 +143,7 @@ class Journal:
         self._batch += 1
         self.actions.now_s = time_s
         if not monitor.masses_wait:
-            self.actions.handed_over()
+            self.actions.updates.handed_over()
         if monitor.open_load is not None:
             self.loads.measured(monitor.open_load, self.field, self.crop)
         seconds, self._new_seconds = self._new_seconds, []
@@ -177,10 +177,10 @@ class Journal:
             "kernel_weight_g": self.kernel_weight_g,
             "faults": sorted(self._faults),
             "unfinished_tickets": list(self.actions.unfinished),
-            "restored_versions": list(self.actions.restored),
-            "open_loads": {str(n): asdict(by) for n, by in self.actions.open_loads.items()},
+            "restored_versions": list(self.actions.remeasuring.restored),
+            "open_loads": {str(n): asdict(by) for n, by in self.actions.remeasuring.open_loads.items()},
             "doubted_loads": sorted(monitor.doubted_loads),
-            "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.unfinished_of_crop.items()},
+            "unfinished_tickets_of_crop": {crop: list(kept) for crop, kept in self.actions.updates.of_crop.items()},
         }
 
     def _fault(self, code: str, detail: str, *, active: bool) -> None:

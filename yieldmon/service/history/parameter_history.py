@@ -81,7 +81,7 @@ class ParameterHistory:
         self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, crop))
         if left is not None and left.values != chosen.values:
             # Its loads until now had another scale.
-            self._actions.bring_back(chosen.version)
+            self._actions.remeasuring.bring_back(chosen.version)
         return chosen
 
     def crop_of_version(self, version: int, in_use: ParameterSet, named: str) -> str:
@@ -216,18 +216,18 @@ class ParameterHistory:
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
             self.use(earlier, ledgers.UNDO, who=who, reason=f"version {version} undone: as version {before}")
-            self._actions.bring_back(earlier.version)
+            self._actions.remeasuring.bring_back(earlier.version)
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
         self.use(kept, ledgers.UNDO, who=who, reason=f"version {version} of {crop} undone: as version {before}")
-        self._actions.bring_back(kept.version)
+        self._actions.remeasuring.bring_back(kept.version)
         # What is in use may have the scale of the version that is undone.
         anew = in_use.carried_from == crop and _only_begun(in_use, now)
         left = self._begun(now, (), _machine_values(in_use)) if anew else in_use
         chosen = replace(left, version=self.version + 1, provenance={**left.provenance, "crop": now})
         self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, now))
         if anew:
-            self._actions.bring_back(chosen.version)
+            self._actions.remeasuring.bring_back(chosen.version)
         return chosen, crop
 
     def _refuse_undo(self, version: int) -> None:

@@ -94,9 +94,9 @@ class RemeasuringThread:
         actions, in_use = journal.actions, monitor.estimator.parameters
         machine, now_s, totals = monitor.machine, monitor.bus_time_s, monitor.totals
         open_load = totals.load_number if totals.load_open else None
-        if actions.restored_waits or actions.measuring_waits:
+        if actions.remeasuring.restored_waits or actions.measuring_waits:
             # First what an undo brought back: what tickets change after it counts.
-            taken = actions.take_restored() if actions.restored_waits else actions.take_to_measure(in_use.version)
+            taken = actions.take_restored() if actions.remeasuring.restored_waits else actions.take_to_measure(in_use.version)
             asked = RemeasuringJob(*taken, open_load, now_s)
         elif (closed := actions.closed_load(open_load)) is not None:
             number, by = closed
@@ -111,7 +111,7 @@ class RemeasuringThread:
         if result is None:
             return False
         if result.loads is None:
-            actions.not_measured()
+            actions.remeasuring.not_measured()
             return False
         asked, loads = result.asked, result.loads
         actions.remeasured(

@@ -94,7 +94,7 @@ def _load_start(order: Order) -> LoadStarted:
         monitor.change_crop(
             estimator_of(monitor.machine, chosen), calibration_age_s(chosen, order.now_s), before=before, now=crop or ""
         )
-        journal.actions.change_crop(before, crop or "")
+        journal.actions.updates.change_crop(before, crop or "")
     journal.name_load(field, crop)
     journal.happened(monitor.start_load())
     set_crop(monitor, journal)
@@ -228,7 +228,7 @@ def _calibration_restart(order: Order) -> CalibrationsRestarted:
         # Of a load that both measured nothing could be said.
         journal.happened(monitor.start_load())
         load = monitor.totals.load_number
-    waiting = {n for numbers in journal.actions.unfinished_of_crop.values() for n in numbers}
+    waiting = {n for numbers in journal.actions.updates.of_crop.values() for n in numbers}
     journal.actions.wait_no_more(sorted(waiting | {*journal.actions.unfinished}))
     chosen = journal.parameters.restart(in_use, journal.crop, order.who, order.request.name("note") or "change of the machine")
     crop = chosen.provenance.get("crop", "")

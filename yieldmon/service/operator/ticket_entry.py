@@ -126,7 +126,7 @@ def _hand_over(shares: Sequence[Weighing], order: Order, crop: str) -> str:
 def _sets_scale_pct(departs: ticket_doubt.Departure | None, order: Order, crop: str) -> float | None:
     """By how much the ticket moves the scale, %, where it is the first that does; else None."""
     actions = order.journal.actions
-    waits = actions.unfinished_of_crop.get(crop) if crop else actions.waiting
+    waits = actions.updates.of_crop.get(crop) if crop else actions.updates.waiting
     return 100.0 * (exp(departs.ln) - 1.0) if departs is not None and departs.first and not waits else None
 
 
@@ -250,7 +250,7 @@ def _departure(shares: Sequence[Weighing], order: Order, crop: str) -> ticket_do
 def _waiting_tickets(order: Order, crop: str, covered: Sequence[int]) -> list[int]:
     """Standing tickets that wait for another crop, for other loads than these."""
     standing = order.journal.actions.history.ledger.tickets
-    waiting = [n for n in order.journal.actions.unfinished_of_crop.get(crop, ()) if n in standing]
+    waiting = [n for n in order.journal.actions.updates.of_crop.get(crop, ()) if n in standing]
     return [n for n in waiting if not set(standing[n].loads) & set(covered)]
 
 

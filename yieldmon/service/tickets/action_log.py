@@ -21,7 +21,8 @@ from yieldmon.service.tickets.update_queue import UpdateQueue
 class ActionLog:
     """All tickets and actions, those that no batch has brought to the store yet, and what they have still to lead to.
 
-    What follows from them is in `history`.
+    What follows from them is in `history`; `updates` holds the tickets that are to update the parameters, `remeasuring` the loads
+    that are to be measured again.
     """
 
     def __init__(
@@ -42,8 +43,8 @@ class ActionLog:
         known, newest = range(1, len(tickets) + 1), self._history.newest_version_by_ticket
         left = [number for number in unfinished if number in known]
         crops = {crop: [number for number in numbers if number in known] for crop, numbers in (of_crop or {}).items()}
-        self._updates = UpdateQueue([number for number in left if number not in newest], crops)
-        self._remeasuring = RemeasuringQueue([number for number in left if number in newest], restored, open_loads or {})
+        self.updates = UpdateQueue([number for number in left if number not in newest], crops)
+        self.remeasuring = RemeasuringQueue([number for number in left if number in newest], restored, open_loads or {})
         self._new_tickets: list[Ticket] = []
         self._new_actions: list[Action] = []
 
@@ -91,7 +92,7 @@ class ActionLog:
         document |= {} if truck is None else {"truck": truck.document, "best_std_dev_kg": best_std_dev_kg}
         self.add(ledgers.TICKET, who, document, ticket.time_s)
         if is_reference:
-            self._updates.add([number], crop)
+            self.updates.add([number], crop)
         return number
 
     def undo_ticket(self, number: int, who: str, now_s: float) -> Ticket:
@@ -129,94 +130,57 @@ class ActionLog:
 
     # Tickets that are to update the parameters
 
-    @property
-    def waiting(self) -> tuple[int, ...]:
-        """As `UpdateQueue` has it."""
-        return self._updates.waiting
-
     def wait_again(self, numbers: Sequence[int], crop: str) -> None:
         """These tickets are to update the parameters anew. crop: of them, where another one is harvested now, else ""."""
         self.wait_no_more(numbers)
-        self._updates.add(numbers, crop)
+        self.updates.add(numbers, crop)
 
     def wait_no_more(self, numbers: Sequence[int]) -> None:
         """These tickets are not to update the parameters, nor to be gone on with after a restart."""
-        self._updates.remove(numbers)
-        self._remeasuring.remove(numbers)
-
-    def change_crop(self, before: str, now: str) -> None:
-        """Another crop from now on: tickets that have not updated the parameters wait for the return of theirs."""
-        self._updates.change_crop(before, now)
-
-    def handed_over(self) -> None:
-        """As `UpdateQueue` has it."""
-        self._updates.handed_over()
+        self.updates.remove(numbers)
+        self.remeasuring.remove(numbers)
 
     def take_behind(self, change: ParametersChanged) -> list[int]:
         """Numbers of the tickets that were handed over for a change of the parameters; their loads are to be measured again."""
-        behind = self._updates.take_behind(change, self._history)
-        self._remeasuring.add(behind)
+        behind = self.updates.take_behind(change, self._history)
+        self.remeasuring.add(behind)
         return behind
 
     @property
     def unfinished(self) -> tuple[int, ...]:
         """Numbers of the tickets that wait or whose loads are being measured again, which a restart has to go on with."""
-        to_measure = self._remeasuring.tickets
+        to_measure = self.remeasuring.tickets
         if to_measure:
             # Of those whose update was taken back by an undo of another no loads are to be measured again.
             led = {number for numbers in self._history.tickets_by_version.values() for number in numbers}
             gone = led.difference(self._history.newest_version_by_ticket)
             to_measure = tuple(number for number in to_measure if number not in gone)
-        return (*to_measure, *self.waiting)
-
-    @property
-    def unfinished_of_crop(self) -> Mapping[str, Sequence[int]]:
-        """Numbers of the tickets that wait for the return of another crop, by its name."""
-        return self._updates.of_crop
+        return (*to_measure, *self.updates.waiting)
 
     # Loads that are to be measured again
 
     @property
     def measuring_waits(self) -> bool:
         """Whether there are tickets for `take_to_measure`."""
-        return self._remeasuring.tickets_wait(self._history)
+        return self.remeasuring.tickets_wait(self._history)
 
     def take_to_measure(self, in_use: int) -> tuple[tuple[int, ...], int]:
         """As `RemeasuringQueue.take`."""
-        return self._remeasuring.take(in_use, self._history, self._next_number)
+        return self.remeasuring.take(in_use, self._history, self._next_number)
 
     def measure_lost_again(self) -> None:
         """Loads that were measured again after tickets whose update stands, while that measurement stands no more, are to be
         measured again."""
-        known = set(self.unfinished).union(*self._updates.of_crop.values())
-        self._remeasuring.add([number for number in self._history.lost_measurements() if number not in known])
-
-    def bring_back(self, version: int) -> None:
-        """As `RemeasuringQueue` has it."""
-        self._remeasuring.bring_back(version)
-
-    @property
-    def restored(self) -> tuple[int, ...]:
-        """As `RemeasuringQueue` has it, for a restart to go on with."""
-        return self._remeasuring.restored
-
-    @property
-    def restored_waits(self) -> bool:
-        """As `RemeasuringQueue` has it."""
-        return self._remeasuring.restored_waits
+        known = set(self.unfinished).union(*self.updates.of_crop.values())
+        self.remeasuring.add([number for number in self._history.lost_measurements() if number not in known])
 
     def take_restored(self) -> tuple[tuple[int, ...], int]:
         """As `RemeasuringQueue` has it."""
-        return self._remeasuring.take_restored(self._next_number)
-
-    @property
-    def open_loads(self) -> Mapping[int, Remeasuring]:
-        """As `RemeasuringQueue` has it, for a restart to go on with."""
-        return self._remeasuring.open_loads
+        return self.remeasuring.take_restored(self._next_number)
 
     def closed_load(self, open_load: int | None) -> tuple[int, Remeasuring] | None:
         """As `RemeasuringQueue` has it."""
-        return self._remeasuring.closed_load(open_load, self._history)
+        return self.remeasuring.closed_load(open_load, self._history)
 
     def remeasured(
         self,
@@ -236,17 +200,13 @@ class ActionLog:
         other loads.
         """
         if closed_load is not None:
-            stands = self._remeasuring.closed_load_done(closed_load, tickets, self._history)
+            stands = self.remeasuring.closed_load_done(closed_load, tickets, self._history)
         else:
-            stands = self._remeasuring.done(tickets, version, open_load, self._history)
-        recropped = ledgers.recropped(action for action in self if action.number >= self._remeasuring.taken_before)
+            stands = self.remeasuring.done(tickets, version, open_load, self._history)
+        recropped = ledgers.recropped(action for action in self if action.number >= self.remeasuring.taken_before)
         factors = {number: factor for number, factor in factors.items() if number not in recropped}
         if stands and factors:
             self._post(tickets, version, factors, spreads)
-
-    def not_measured(self) -> None:
-        """As `RemeasuringQueue` has it."""
-        self._remeasuring.not_measured()
 
     # For lists and the store
 
@@ -254,8 +214,8 @@ class ActionLog:
         """All tickets, with who entered them and who took them back, and what became of each. doubted_loads: those whose tickets
         contradict the ones that count."""
         history = self._history
-        of_crop = {number: crop for crop, numbers in self._updates.of_crop.items() for number in numbers}
-        to_update = dict.fromkeys(self.waiting, "") | of_crop
+        of_crop = {number: crop for crop, numbers in self.updates.of_crop.items() for number in numbers}
+        to_update = dict.fromkeys(self.updates.waiting, "") | of_crop
         states = ticket_states(history.ledger, history.actions, to_update=to_update, doubted_loads=doubted_loads)
         rows = ledgers.ticket_rows(history.tickets, history.actions)
         return [{**row, "state": states.get(row["number"], "undone")} for row in rows]
