@@ -334,3 +334,12 @@ def test_what_effects_undo_among_themselves(published, monkeypatch, sizes, undon
     change = np.outer(sizes, fit(base.frame, ("zero_offset",), base.values).changes[0])
     monkeypatch.setattr(Fit, "changes", change)
     assert replace(base).cancelled == pytest.approx(undone, abs=1e-9)
+
+
+def test_grain_that_slides_along_the_plate_without_rolling_is_no_turned_plate(make_rows, start) -> None:
+    """Kernels that their neighbours hold do not roll: Coulomb friction goes with all of the impulse, 1 + mu cot(angle)."""
+    rows = make_rows(alter=lambda force, angle, speed, flow: force * (1.0 + 0.2 / np.tan(angle)))
+    choice = diagnosis.examine(rows, start).choice
+    assert choice.verdict == "effect"
+    assert [step.added for step in choice.steps] == ["plate_friction"]
+    assert choice.best.values[f"{choice.steps[0].law}.coefficient"] == pytest.approx(0.2, abs=0.03)
