@@ -32,6 +32,10 @@ def flip(path: Path, seed: int) -> None:
     path.write_bytes(content)
 
 
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-10])
+
+
 @pytest.mark.parametrize("table", [table for table in TABLES if table != RECORDS])
 def test_a_flipped_bit_is_no_other_figure(measured: Path, tmp_path: Path, table: str) -> None:
     """Parquet's pages have no checksums: a flip in a sum is a sum."""
@@ -54,8 +58,15 @@ def test_a_flipped_bit_is_no_difference_of_two_releases(measured: Path, tmp_path
         compare(str(data), str(measured))
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-10])
+@pytest.mark.parametrize("table", [RECORDS, "loads"])
+@pytest.mark.parametrize("damage", [lambda path: flip(path, 0), cut, Path.unlink], ids=["flipped", "cut", "missing"])
+def test_damaged_days_are_not_called_equal(measured: Path, tmp_path: Path, table: str, damage: Callable[[Path], None]) -> None:
+    """A copy on another disk has the marks of the original."""
+    data = shutil.copytree(measured, tmp_path / "data")
+    damage(data / DAY / f"{table}.parquet")
+    for pair in ((measured, data), (data, measured)):
+        with pytest.raises(InputError, match=rf"{table}\.parquet: is (not what its mark says|missing)"):
+            compare(*map(str, pair))
 
 
 def flipped(path: Path) -> None:

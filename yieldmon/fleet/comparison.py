@@ -33,12 +33,15 @@ def compare(first: str, second: str) -> FleetCompareDocument:
     Raises
     ------
     InputError
-        One of them is no dataset.
+        One of them is no dataset, or a table of a partition that both have is not what its mark says.
     """
     with opened(first, ()) as before, opened(second, ()) as after:
         ours, theirs = ({commit.name: commit for commit in query.commits} for query in (before, after))
         both = [name for name in ours if name in theirs]
         unequal = [name for name in both if _files(ours[name]) != _files(theirs[name])]
+        for name in both:
+            _check(ours[name], before)
+            _check(theirs[name], after)
         found = [_difference(ours[name], theirs[name], before, after) for name in unequal]
         changes = Counter(reason for item, _ in found for reason in item["because"])
         only = [Counter(name for _, lacking in found for name in lacking[side]) for side in (0, 1)]
@@ -59,6 +62,12 @@ def compare(first: str, second: str) -> FleetCompareDocument:
 def _files(commit: Commit) -> dict[str, str]:
     """What the results are: all tables but where they came from."""
     return {name: entry["sha256"] for name, entry in commit.content["files"].items() if name != f"{tables.PROVENANCE}.parquet"}
+
+
+def _check(commit: Commit, query: Query) -> None:
+    """Raises InputError where a table is not what the mark says: the marks of damaged tables are equal too."""
+    for name in _files(commit):
+        query.dataset.check(commit, name.removesuffix(".parquet"))
 
 
 def _difference(ours: Commit, theirs: Commit, before: Query, after: Query) -> tuple[DayDifference, tuple[list[str], list[str]]]:
