@@ -48,6 +48,11 @@ def fit(rows: Measurements, impact: tuple[str, ...] = ("k1", "k2"), **options: o
 # Recovery
 
 
+def test_a_single_free_parameter_may_stand_alone() -> None:
+    found = calibrate(MODEL, generated(), TRUE | {"friction": 0.3}, "friction", starts=1)
+    assert found.parameter_set.values["friction"] == pytest.approx(0.2, abs=1e-6)
+
+
 def test_at_least_95_of_100_random_starts_reach_the_generating_parameters_to_1e_4() -> None:
     rows = generated(Conditions(np.radians(70.0), 400.0 * RPM, mass_flow_kg_s=FLOWS))
     low, high = np.array([0.0, 0.0, 750.0]), np.array([1.0, 1.0, 2000.0])

@@ -219,3 +219,10 @@ def test_an_effect_that_needs_moisture_gives_no_estimate_without_it():
     found = loop.estimate([80.0, 80.0], np.radians(70.0), 400.0 * RPM, 1.0, [np.nan, 18.0])
     assert list(found.status) == [FlowStatus.NOT_AVAILABLE, FlowStatus.OK]
     assert np.isnan(found.mass_flow_kg_s[0])
+
+
+def test_a_speed_in_rpm_gives_no_flow() -> None:
+    """400 rpm are 42 rad/s: taken for rad/s they would be a tenth of the flow."""
+    found = OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN)).estimate([60.0, 60.0], np.radians(70.0), [400.0, 400.0 * RPM])
+    assert found.status.tolist() == [FlowStatus.NOT_AVAILABLE, FlowStatus.OK]
+    assert np.isnan(found.mass_flow_kg_s).tolist() == [True, False]

@@ -41,3 +41,15 @@ def test_a_known_parameter_and_a_restitution_below_0_are_no_mistakes() -> None:
     """A search along the scale passes through the second."""
     known = api.ParameterSet({**GRAIN, "restitution": -0.1}, TWO, np.array([[0.0, 0.0], [0.0, 1.0]]))
     assert known.standard_deviation("friction") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ({"frction": 0.3}, "parameter 'frction': unknown; expected one of friction, density"),
+        ({"gravity.acceleration": 9.81}, r"effect parameter 'gravity\.acceleration': unknown; expected one of acceleration_m_s2"),
+    ],
+)
+def test_a_misspelt_parameter_is_not_passed_over(extra: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        api.ParameterSet({"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0} | extra)

@@ -124,3 +124,13 @@ def test_tables_hold_positions_and_verbs_that_cannot_use_several_say_so(
     path.write_text(head + "40,,9,30\n70,0,9,75\n")
     assert main(["estimate", str(path)]) == 2
     assert "line 2, plate_position_m: is unknown; expected a position in m" in capsys.readouterr().err
+
+
+def test_a_position_that_is_not_known_gives_no_number() -> None:
+    found = momentum(70.0, np.array([4.0, 9.0]), np.array([np.nan, 0.0]))
+    assert np.isnan(found).tolist() == [True, False]
+
+
+def test_a_plate_in_the_paddles_way_is_refused_with_the_nearest_position() -> None:
+    with pytest.raises(ValueError, match=r"plate_position_m -0\.3: expected above -0\.24 m, where it clears the paddles"):
+        momentum(70.0, 4.0, -0.3)

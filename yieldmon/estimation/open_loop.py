@@ -10,6 +10,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yieldmon.physics.machine import FASTEST_ELEVATOR_RPM, RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
 from yieldmon.physics.throw import Throw
@@ -180,7 +181,7 @@ def broadcast_inputs(
     inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture)
     arrays = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
     force, angle, speed, noise, _ = arrays
-    usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & np.isfinite(speed) & (speed > 0.0)
+    usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & (speed > 0.0) & (speed <= FASTEST_ELEVATOR_RPM * RPM)
     usable = usable & np.isfinite(noise) & (noise >= 0.0)
     return tuple(arrays), usable
 
@@ -263,7 +264,7 @@ class OpenLoop:
         force_n : array_like
             Mean horizontal force above zero load, N.
         plate_angle_rad, elevator_speed_rad_s : array_like
-            rad, -pi to pi; rad/s, above 0.
+            rad, -pi to pi; rad/s, above 0, up to 1900 rpm.
         moisture_pct : array_like, optional
             %, where an effect needs it.
 

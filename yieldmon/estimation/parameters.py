@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yieldmon.physics.effects import changes_force, get_effect
+from yieldmon.physics.effects import changes_force, effect_parameter
 from yieldmon.physics.grain import EXCHANGE_FORM, GRAIN, REQUIRED
 from yieldmon.physics.machine import SAME_ANGLE_RAD
 from yieldmon.physics.numerics import Array
@@ -159,8 +159,11 @@ class ParameterSet:
         exchange = sum(name in self.values for name in EXCHANGE_FORM)
         if exchange != (0 if "restitution" in self.values else len(EXCHANGE_FORM)):
             raise ValueError("parameters need either restitution, or k1 and k2")
-        for name in self.effects:
-            get_effect(name)
+        for name in self.values:
+            if changes_force(name.partition(".")[0]) and name not in GRAIN:
+                if "." not in name:
+                    raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(GRAIN)} or effect.parameter")
+                effect_parameter(name)
         for name, value in self.values.items():
             # A search may pass through a restitution below 0; nothing has a density of 0 or less.
             above_0 = name in GRAIN and not GRAIN[name].follows_response and GRAIN[name].limits[0] > 0.0

@@ -7,7 +7,7 @@ Axes: origin at the upper sprocket's centre, x to the right, y down, angles cloc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, pi
+from math import cos, inf, pi
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -23,8 +23,16 @@ SAME_ANGLE_RAD = 0.75 * pi / 180.0
 RPM = 2.0 * pi / 60.0
 """rad/s in one revolution per minute."""
 
+FASTEST_ELEVATOR_RPM = 1900.0
+"""No elevator turns as fast; its revolutions per minute, taken for rad/s, lie above."""
+
 LONGEST_RESPONSE_S = 0.1
 """Time constant of plate and cell, s, beyond which no force cell answers."""
+
+
+_LONGEST_M = 10.0
+"""No part of an elevator is as long; lengths in mm are."""
+_SPEEDS = f"above 0, up to {FASTEST_ELEVATOR_RPM * RPM:.0f} ({FASTEST_ELEVATOR_RPM:g} rpm)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +90,8 @@ class Machine:
     Raises
     ------
     ValueError
-        For a length that is not above 0, a home angle outside the plate's range, or a plate in the paddles' way.
+        For a length that is not above 0 or not in m, an angle that is not in radians, a speed that is not in rad/s, a home angle
+        outside the plate's range, or a plate in the paddles' way.
 
     Notes
     -----
@@ -118,17 +127,32 @@ class Machine:
     plate_travel_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for key in ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_length_m"):
-            if not getattr(self, key) > 0.0:
-                raise ValueError(f"machine {self.name}: {key} is {getattr(self, key)}, expected a length above 0 m")
-        if not self.paddle_spacings_m or min(self.paddle_spacings_m) <= 0.0:
-            raise ValueError(f"machine {self.name}: paddle_spacings_m is {self.paddle_spacings_m}, expected lengths above 0 m")
+        self._refuse_other_units()
         if not self.min_plate_angle_rad <= self.home_plate_angle_rad <= self.max_plate_angle_rad:
             raise ValueError(f"machine {self.name}: the home plate angle lies outside the plate's range")
         if not self.plate_travel_m[0] <= 0.0 <= self.plate_travel_m[1]:
             raise ValueError(f"machine {self.name}: plate_travel_m is {self.plate_travel_m}, expected [at most 0, at least 0] m")
         if self.plate_reach_m(self.plate_travel_m[0]) <= self.paddle_length_m < self.plate_reach_m(0.0):
             raise ValueError(f"machine {self.name}: plate_travel_m lets the plate into the paddles' way")
+
+    def _refuse_other_units(self) -> None:
+        for key in ("sprocket_pitch_radius_m", "paddle_length_m", "paddle_width_m", "plate_length_m"):
+            if not 0.0 < getattr(self, key) <= _LONGEST_M:
+                limit = f"expected a length above 0 m, up to {_LONGEST_M:g} m"
+                raise ValueError(f"machine {self.name}: {key} is {getattr(self, key)}, {limit}")
+        for key in ("plate_pivot_x_m", "plate_pivot_y_m"):
+            if not abs(getattr(self, key)) <= _LONGEST_M:
+                raise ValueError(
+                    f"machine {self.name}: {key} is {getattr(self, key)}, expected m, {-_LONGEST_M:g} to {_LONGEST_M:g}"
+                )
+        if not self.paddle_spacings_m or not all(0.0 < spacing < inf for spacing in self.paddle_spacings_m):
+            raise ValueError(f"machine {self.name}: paddle_spacings_m is {self.paddle_spacings_m}, expected lengths above 0 m")
+        for key in ("home_plate_angle_rad", "min_plate_angle_rad", "max_plate_angle_rad"):
+            if not 0.0 < getattr(self, key) < pi:
+                raise ValueError(f"machine {self.name}: {key} is {getattr(self, key)}, expected radians, 0 to pi")
+        for key in ("nominal_elevator_speed_rad_s", "min_elevator_speed_rad_s", "max_elevator_speed_rad_s"):
+            if not 0.0 < getattr(self, key) <= FASTEST_ELEVATOR_RPM * RPM:
+                raise ValueError(f"machine {self.name}: {key} is {getattr(self, key)}, expected rad/s, {_SPEEDS}")
 
     def plate_reach_m(self, plate_position_m: float) -> float:
         """Level distance from the sprocket's centre to the nearest point of the plate over its angles.

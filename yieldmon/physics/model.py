@@ -6,14 +6,14 @@ Source: "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .effects import changes_force, get_effect
-from .grain import EXCHANGE_FORM, RESTITUTION_FORM
-from .machine import Machine
+from .grain import EXCHANGE_FORM, GRAIN, RESTITUTION_FORM
+from .machine import FASTEST_ELEVATOR_RPM, RPM, Machine
 from .numerics import COMPLEX_STEP, AnyArray, Array, real
 from .stages import STAGES
 from .throw import Parameters, Throw, ThrowModel
@@ -28,7 +28,7 @@ class Conditions:
     plate_angle_rad : array_like
         rad, -pi to pi.
     elevator_speed_rad_s : array_like
-        Of the upper sprocket, rad/s, above 0.
+        Of the upper sprocket, rad/s, above 0, up to 1900 rpm.
     mass_flow_kg_s, paddle_mass_kg : array_like, optional
         The load: one of the two, kg/s or kg.
     moisture_pct : array_like, optional
@@ -60,7 +60,7 @@ class Conditions:
 
 
 def refuse_impossible(where: str, plate_angle_rad: ArrayLike, elevator_speed_rad_s: ArrayLike) -> None:
-    """Refuse angles that are no radians and a standing elevator; nan is neither.
+    """Refuse angles that are no radians, a standing elevator and speeds that are no rad/s; nan is none of them.
 
     Parameters
     ----------
@@ -72,13 +72,16 @@ def refuse_impossible(where: str, plate_angle_rad: ArrayLike, elevator_speed_rad
     Raises
     ------
     ValueError
-        With the first value outside -pi to pi, or not above 0.
+        With the first value outside -pi to pi, not above 0, or above `FASTEST_ELEVATOR_RPM`.
     """
     angle, speed = np.ravel(np.real(plate_angle_rad)), np.ravel(np.real(elevator_speed_rad_s))
     for value in angle[np.abs(angle) > np.pi][:1]:
         raise ValueError(f"{where}: plate_angle_rad {value:g}: expected radians, -pi to pi")
     for value in speed[speed <= 0.0][:1]:
         raise ValueError(f"{where}: elevator_speed_rad_s {value:g}: expected rad/s above 0")
+    for value in speed[speed > FASTEST_ELEVATOR_RPM * RPM][:1]:
+        limit = f"expected at most {FASTEST_ELEVATOR_RPM * RPM:.0f} rad/s; one rpm is {RPM:.4g} rad/s"
+        raise ValueError(f"{where}: elevator_speed_rad_s {value:g}: {limit}")
 
 
 class ForwardModel:
@@ -215,18 +218,20 @@ class ForwardModel:
         conditions : Conditions
         parameters : mapping of str to array_like
         overfull : {"raise", "nan"}
-            What to do with a load above a full paddle [8.9], and with an angle or a speed that cannot be.
+            What to do with a load above a full paddle [8.9], and with an angle, a speed or a parameter that cannot be.
 
         Returns
         -------
         ndarray
-            kg m/s, or the response's unit where k1, k2 carry it; of the shape to which conditions and parameters broadcast.
+            kg m/s, or the response's unit where k1, k2 carry it; of the shape to which conditions and parameters broadcast. nan
+            where a condition is nan.
 
         Raises
         ------
         ValueError
-            For a load above a full paddle, an angle or a speed outside its range, and a parameter of an effect that the model
-            does not have, unless `overfull` is "nan"; for a parameter that is missing.
+            For a load above a full paddle, an angle, a speed, a plate position or a parameter outside its range, and a parameter
+            that the model does not have, unless `overfull` is "nan"; for a parameter that is missing, and for shapes that do not
+            broadcast.
         """
         return self._momentum(conditions, parameters, overfull)[0]
 
@@ -327,19 +332,35 @@ class ForwardModel:
         refuses = overfull == "raise"
         if refuses:
             refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
-            self._refuse_other_effects(parameters)
+            self._refuse_position(conditions)
+            self._refuse_other_names(parameters)
+            _refuse_impossible_grain(parameters)
+            _refuse_shapes(conditions, parameters)
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
+        if conditions.plate_position_m is not None:
+            momentum = np.where(np.isnan(real(np.asarray(conditions.plate_position_m))), np.nan, momentum)
         if refuses:
             self._refuse_overfull(throw, conditions)
         return momentum, throw.passes_per_s
 
-    def _refuse_other_effects(self, parameters: Parameters) -> None:
-        own = self.effects
+    def _refuse_position(self, conditions: Conditions) -> None:
+        machine = self.machine
+        place = np.ravel(real(np.asarray(conditions.plate_position_m if conditions.plate_position_m is not None else 0.0)))
+        nearest = machine.paddle_length_m - machine.plate_reach_m(0.0)
+        for value in place[place <= nearest][:1] if nearest < 0.0 else ():
+            raise ValueError(
+                f"conditions: plate_position_m {value:g}: expected above {nearest:.3g} m, where it clears the paddles"
+            )
+
+    def _refuse_other_names(self, parameters: Parameters) -> None:
+        own, known = self.effects, (*GRAIN, *self.effect_parameters)
         for name in parameters:
             effect, dot, _ = name.partition(".")
             if dot and effect not in own and changes_force(effect):
                 raise ValueError(f"parameters: {name}: the model does not have this effect; expected effects {own}")
+            if name not in known and changes_force(effect):
+                raise ValueError(f"parameters: {name}: unknown; expected some of {', '.join(known)}")
 
     def _refuse_overfull(self, throw: Throw, conditions: Conditions) -> None:
         mass, full = np.broadcast_arrays(real(throw.load_mass(_offered_kg(throw, conditions))), real(throw.full_mass_kg))
@@ -349,6 +370,31 @@ class ForwardModel:
             raise ValueError(
                 f"load of {mass.ravel()[first]:.6g} kg a paddle: expected 0 to {full.ravel()[first]:.6g} kg, a full paddle"
             )
+
+
+def _refuse_impossible_grain(parameters: Parameters) -> None:
+    """Raises ValueError for a value of grain that is no number or outside what is possible."""
+    for name in (name for name in parameters if name in GRAIN):
+        value = np.asarray(parameters[name])
+        if value.dtype.kind not in "iufc":
+            raise ValueError(f"parameters: {name}: {parameters[name]!r}: expected numbers")
+        low, high = (-np.inf, np.inf) if GRAIN[name].follows_response else GRAIN[name].limits
+        # A search may pass through a restitution below 0; no gain 1 + e is below 0.
+        low -= GRAIN[name].offset
+        numbers = np.ravel(real(value))
+        for wrong in numbers[~((numbers >= low) & (numbers <= high))][:1]:
+            raise ValueError(f"parameters: {name} {wrong:g}: expected {low:g} to {high:g} {GRAIN[name].unit}".rstrip())
+
+
+def _refuse_shapes(conditions: Conditions, parameters: Parameters) -> None:
+    """Raises ValueError where conditions and parameters do not broadcast."""
+    given = {field.name: getattr(conditions, field.name) for field in fields(conditions)} | dict(parameters)
+    shapes = {name: np.shape(value) for name, value in given.items() if value is not None}
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise ValueError(f"conditions: shapes {listed}: expected shapes that broadcast") from None
 
 
 def _offered_kg(throw: Throw, conditions: Conditions) -> AnyArray:

@@ -72,7 +72,7 @@ def calibrate(
         Values of all parameters of the model; those not free keep theirs, a free one outside its bounds begins at the nearer
         bound. See `default_start`.
     free : sequence of str
-        Parameters to fit.
+        Parameters to fit; a single name may stand alone.
     prior : Prior, optional
         Gaussian, on free parameters.
     bounds : mapping of str to (float, float), optional
@@ -163,7 +163,8 @@ def search(
     """The least squares of `calibrate`, with its arguments and errors, without what is derived from the best fit."""
     if starts < 1:
         raise ValueError(f"starts {starts}: expected 1 or more")
-    problem = CalibrationProblem(model, data, start, tuple(free), prior=prior, bounds=bounds, robust=robust)
+    names = (free,) if isinstance(free, str) else tuple(free)
+    problem = CalibrationProblem(model, data, start, names, prior=prior, bounds=bounds, robust=robust)
     basins, theta = multistart.minimize(problem, starts, np.random.default_rng(0) if rng is None else rng, progress)
     return Searched(problem, basins, theta, starts)
 
