@@ -205,6 +205,8 @@ _STRUCK_S = 5
 def _speed_missing(o: Observation) -> str | None:
     if not o.reading.speed_known:
         return ""
+    if o.reading.speed_contradicted:
+        return f"{o.speed_rpm:.0f} rpm, but the pulses of the grain come at another rate"
     if o.reading.struck_s < _STRUCK_S:
         return None
     return f"{o.speed_rpm:.0f} rpm, but grain strikes the plate"
@@ -256,7 +258,7 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.SPEED_MISSING, 520194, 9, _S, 1, 3,
-        "No usable elevator speed was received for ten of its periods, or it reads 0 while grain strikes the plate.",
+        "No usable elevator speed was received for ten of its periods, or the grain's pulses contradict it.",
         "No flow is published and no mass is added.",
         "Check the speed sensor, its node, and the unit and scale in its mapping.",
         _speed_missing,

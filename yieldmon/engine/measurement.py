@@ -12,6 +12,7 @@ from yieldmon.engine.mass.tank_rise import TankRise
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
 from yieldmon.engine.sampling.empty_spells import EmptySpells
 from yieldmon.engine.sampling.paddle_scatter import PaddleScatter
+from yieldmon.engine.sampling.speed_agreement import SpeedAgreement
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.sampling.zero import ZeroRefusal, ZeroState, ZeroTracker
 from yieldmon.engine.settings import EngineSettings
@@ -45,6 +46,8 @@ class Reading:
         Of the window; nan where no frame reported it.
     speed_known : bool
         Whether it is at the window's end.
+    speed_contradicted : bool
+        Whether the pulses on the plate come at another rate, so that it counts as not known.
     in_range : bool
         Whether grain is measured at this speed.
     stuck_s : int
@@ -82,6 +85,7 @@ class Reading:
     force_std_dev_n: float
     speed_rad_s: float
     speed_known: bool
+    speed_contradicted: bool
     in_range: bool
     stuck_s: int
     struck_s: int
@@ -124,6 +128,7 @@ class Measurement:
         self._stuck_s = 0
         self._struck_s = 0
         self._scatter = PaddleScatter(settings.windows)
+        self._agreement = None if slow else SpeedAgreement()
         self._sampled = self._ever_sampled = False
         self._jumps = 0
         self._paused = 0.0, 0.0
@@ -207,8 +212,9 @@ class Measurement:
             self._started_s = window.start_s
         # Samples left over from the last window were taken at a known speed, even if all inputs are silent by now.
         at_samples = window.covered_s > 0.0 and window.last_frame_s - inputs.speed_time_s <= settings.inputs.speed_timeout_s
-        speed_was_known = inputs.speed_known or at_samples
         in_range = machine.min_elevator_speed_rad_s <= window.speed_rad_s <= machine.max_elevator_speed_rad_s
+        contradicted = in_range and self._contradicts_speed(window)
+        speed_was_known = (inputs.speed_known or at_samples) and not contradicted
         still = window.plate_max_rad - window.plate_min_rad <= self._rest_rad
         at_home = self.at_home(window.plate_angle_rad)
         self._stuck_s = self._stuck_s + 1 if window.samples and window.span_mv == 0.0 and in_range else 0
@@ -230,9 +236,9 @@ class Measurement:
         zero = self.zero
         zero_age_s = window.end_s - self._zero_known_s + self._paused_since_zero_s
         return _reading(
-            window, inputs, quality, force, noise, speed, inputs.speed_known, in_range, self._stuck_s, self._struck_s, still,
-            at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before, silent_before,
-            self._since_jump, taken, zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
+            window, inputs, quality, force, noise, speed, inputs.speed_known, contradicted, in_range, self._stuck_s,
+            self._struck_s, still, at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before,
+            silent_before, self._since_jump, taken, zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
@@ -292,6 +298,16 @@ class Measurement:
     def _paddles(self, speed_rad_s: float, seconds: float) -> float:
         """Paddles that pass in a time, at least one."""
         return max(1.0, float(self._machine.passes_per_s(speed_rad_s)) * seconds)
+
+    def _contradicts_speed(self, window: Window) -> bool:
+        """Whether the pulses of a window with grain come at another rate than that of the reported speed."""
+        zero, settings = self.zero.state, self._settings
+        if self._agreement is None or zero is None or window.lost_frames or window.contested:
+            return False
+        grain_mv = window.mean_mv - zero.zero_mv
+        if not grain_mv * self._machine.sensor.gain_n_per_mv > settings.gate.certain_force_n:
+            return False
+        return window.coverage >= settings.windows.full_coverage and self._agreement.contradicted(window, grain_mv)
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:
         """Whether grain strikes the plate although the elevator is reported to stand."""

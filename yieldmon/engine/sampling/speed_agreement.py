@@ -1,0 +1,57 @@
+"""Whether the pulses on the plate come at the rate of the reported elevator speed.
+
+Grain strikes the plate at the rate of the paddles. The amplitude at that rate is formed along the phase that is integrated from
+the reported speed; where this speed is wrong by a twentieth, pulses and phase part within a second, and the amplitude vanishes
+while the mean and the range of the samples stay.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+from yieldmon.engine.sampling.windows import Window
+
+_KEPT, _LEAST = 30, 20
+"""Newest windows that agree, with which a window is compared, and how many there must be."""
+_SEEN = 0.3
+"""Least amplitude, relative to the mean, of a sensor that shows the pulses."""
+_HALF = 0.5
+"""Share of its usual value below which a ratio of amplitude, mean and range has changed."""
+
+
+class SpeedAgreement:
+    """Compares the pulses of each window with grain with those of the windows before."""
+
+    def __init__(self) -> None:
+        self._over_mean: deque[float] = deque(maxlen=_KEPT)
+        self._over_range: deque[float] = deque(maxlen=_KEPT)
+
+    def contradicted(self, window: Window, grain_mv: float) -> bool:
+        """Whether the window's pulses contradict its speed.
+
+        Parameters
+        ----------
+        window : Window
+            With grain, whole, with samples of one sensor.
+        grain_mv : float
+            Its mean less the zero, mV, above 0.
+
+        Returns
+        -------
+        bool
+            Never before twenty windows with clear pulses.
+        """
+        if not window.span_mv > 0.0:
+            return False
+        over_mean, over_range = window.pulse_mv / grain_mv, window.pulse_mv / window.span_mv
+        if len(self._over_mean) >= _LEAST:
+            usual_over_mean, usual_over_range = median(self._over_mean), median(self._over_range)
+            # A single wrong sample changes the range alone; something on the plate, or a plate without grain, the mean.
+            pulsed = window.span_mv / grain_mv > _HALF * usual_over_mean / usual_over_range
+            lost = over_mean < _HALF * usual_over_mean and over_range < _HALF * usual_over_range
+            if usual_over_mean > _SEEN and pulsed and lost:
+                return True
+        self._over_mean.append(over_mean)
+        self._over_range.append(over_range)
+        return False
