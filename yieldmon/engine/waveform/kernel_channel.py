@@ -30,7 +30,7 @@ _CHANGING = 0.1
 
 _BY_PHASE_EVERY = 5
 """One window in so many is evaluated for noise between the pulses, which is accurate enough."""
-_EVERY, _GROWN = 5, 0.25
+_EVERY, _GROWN = 10, 0.25
 """The mean over the windows kept moves slowly: it is formed anew after so many, or while there are few when they have grown by so
 much. Pulses are taken off so many windows together."""
 
