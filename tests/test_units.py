@@ -83,3 +83,7 @@ def test_no_yield_without_mass_or_area(kg: float | None, m2: float | None) -> No
 def test_what_a_daemon_says_is_shown_in_the_units_chosen(said: str, metric: str, us: str | None) -> None:
     assert METRIC.in_text(said) == metric
     assert CORN.in_text(said) == (said if us is None else us)
+
+
+def test_a_little_less_than_nothing_has_no_sign() -> None:
+    assert [rounded(value) for value in (-0.0, -0.004, -0.04, 0.004)] == ["0.0", "0.0", "-0.04", "0.0"]

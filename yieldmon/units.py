@@ -182,12 +182,12 @@ def moisture(pct: float | None) -> str:
 def rounded(value: float) -> str:
     """A number with three digits that count, whole from 100 on, and thousands apart.
 
-    >>> rounded(8432.4), rounded(12.34), rounded(0.5), rounded(0.0)
+    >>> rounded(8432.4), rounded(12.34), rounded(0.5), rounded(-0.001)
     ('8,432', '12.3', '0.50', '0.0')
     """
     size = abs(value)
     digits = 0 if size >= 99.95 else 1 if size >= 9.995 or size < 0.005 else 2
-    return f"{value:,.{digits}f}"
+    return f"{value:z,.{digits}f}"
 
 
 def crop_yield_kg_m2(mass_kg: float | None, area_m2: float | None) -> float | None:

@@ -226,3 +226,10 @@ def test_a_speed_in_rpm_gives_no_flow() -> None:
     found = OpenLoop(ForwardModel(MACHINE), ParameterSet(GRAIN)).estimate([60.0, 60.0], np.radians(70.0), [400.0, 400.0 * RPM])
     assert found.status.tolist() == [FlowStatus.NOT_AVAILABLE, FlowStatus.OK]
     assert np.isnan(found.mass_flow_kg_s).tolist() == [True, False]
+
+
+def test_shapes_that_do_not_broadcast_are_named() -> None:
+    with pytest.raises(
+        ValueError, match=r"inputs: shapes force_n \(3,\), plate_angle_rad \(2,\): expected shapes that broadcast"
+    ):
+        loop().estimate([1.0, 2.0, 3.0], [1.0, 1.2], 40.0)

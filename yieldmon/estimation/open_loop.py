@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from yieldmon.physics.machine import FASTEST_ELEVATOR_RPM, RPM
 from yieldmon.physics.model import ForwardModel
-from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points
+from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points, refuse_shapes
 from yieldmon.physics.throw import Throw
 
 from .beyond_range import error_beyond
@@ -176,10 +176,19 @@ def broadcast_inputs(
     force_std_dev_n: ArrayLike,
     moisture_pct: ArrayLike | None,
 ) -> tuple[tuple[Array, ...], NDArray[np.bool_]]:
-    """The inputs in this order as arrays of one shape, unknown moisture as nan, and where the first four can be used."""
-    moisture = np.nan if moisture_pct is None else moisture_pct
-    inputs = (force_n, plate_angle_rad, elevator_speed_rad_s, force_std_dev_n, moisture)
-    arrays = np.broadcast_arrays(*(np.asarray(v, dtype=float) for v in inputs))
+    """The inputs in this order as arrays of one shape, unknown moisture as nan, and where the first four can be used.
+
+    Raises ValueError for shapes that do not broadcast.
+    """
+    given = {
+        "force_n": force_n,
+        "plate_angle_rad": plate_angle_rad,
+        "elevator_speed_rad_s": elevator_speed_rad_s,
+        "force_std_dev_n": force_std_dev_n,
+        "moisture_pct": np.nan if moisture_pct is None else moisture_pct,
+    }
+    refuse_shapes("inputs", given)
+    arrays = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in given.values()))
     force, angle, speed, noise, _ = arrays
     usable = np.isfinite(force) & (np.abs(angle) <= np.pi) & (speed > 0.0) & (speed <= FASTEST_ELEVATOR_RPM * RPM)
     usable = usable & np.isfinite(noise) & (noise >= 0.0)

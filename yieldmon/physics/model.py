@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from .effects import changes_force, get_effect
 from .grain import EXCHANGE_FORM, GRAIN, RESTITUTION_FORM
 from .machine import FASTEST_ELEVATOR_RPM, RPM, Machine
-from .numerics import COMPLEX_STEP, AnyArray, Array, real
+from .numerics import COMPLEX_STEP, AnyArray, Array, real, refuse_shapes
 from .stages import STAGES
 from .throw import Parameters, Throw, ThrowModel
 
@@ -335,7 +335,8 @@ class ForwardModel:
             self._refuse_position(conditions)
             self._refuse_other_names(parameters)
             _refuse_impossible_grain(parameters)
-            _refuse_shapes(conditions, parameters)
+            given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
+            refuse_shapes("conditions", given | dict(parameters))
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if conditions.plate_position_m is not None:
@@ -384,17 +385,6 @@ def _refuse_impossible_grain(parameters: Parameters) -> None:
         numbers = np.ravel(real(value))
         for wrong in numbers[~((numbers >= low) & (numbers <= high))][:1]:
             raise ValueError(f"parameters: {name} {wrong:g}: expected {low:g} to {high:g} {GRAIN[name].unit}".rstrip())
-
-
-def _refuse_shapes(conditions: Conditions, parameters: Parameters) -> None:
-    """Raises ValueError where conditions and parameters do not broadcast."""
-    given = {field.name: getattr(conditions, field.name) for field in fields(conditions)} | dict(parameters)
-    shapes = {name: np.shape(value) for name, value in given.items() if value is not None}
-    try:
-        np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
-        raise ValueError(f"conditions: shapes {listed}: expected shapes that broadcast") from None
 
 
 def _offered_kg(throw: Throw, conditions: Conditions) -> AnyArray:

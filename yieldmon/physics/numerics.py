@@ -6,7 +6,7 @@ variables to estimate derivatives of real functions", SIAM Review 40 (1998).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -28,6 +28,29 @@ def real(x: AnyArray) -> Array:
 def perturbed(x: AnyArray) -> bool:
     """Whether x carries a complex perturbation."""
     return x.dtype.kind == "c"
+
+
+def refuse_shapes(where: str, given: Mapping[str, Any]) -> None:
+    """Refuse arrays that do not broadcast.
+
+    Parameters
+    ----------
+    where : str
+        For the message.
+    given : mapping
+        Arrays and numbers by name; None: not given.
+
+    Raises
+    ------
+    ValueError
+        With the shapes.
+    """
+    shapes = {name: np.shape(value) for name, value in given.items() if value is not None}
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        listed = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise ValueError(f"{where}: shapes {listed}: expected shapes that broadcast") from None
 
 
 def distinct(x: Array) -> Array:
