@@ -89,6 +89,10 @@ def sagging(time_s: float) -> float:
     return 400.0 - 90.0 * max(0.0, 1.0 - abs(time_s - 1051.0))
 
 
+def faster(time_s: float) -> float:
+    return 300.0 + 50.0 * min(max(time_s - 1045.0, 0.0), 5.0)
+
+
 OTHERWISE = {
     "nothing": Misreported(),
     "uneven paddles": Misreported(scatter=0.2),
@@ -96,6 +100,8 @@ OTHERWISE = {
     "much grain": Misreported(flow=lambda time_s: 2.4 * harvest(time_s)),
     "broad pulses": Misreported(pulse_std_dev_s=0.022),
     "grain in bursts": Misreported(flow=lambda time_s: harvest(time_s) * (1.0 if (time_s % 2.0) < 1.3 else 0.05)),
+    "uneven pulses that merge": Misreported(rpm=faster, reported=faster, pulse_std_dev_s=0.028, scatter=0.2, seed=3),
+    "very uneven pulses that merge": Misreported(rpm=faster, reported=faster, pulse_std_dev_s=0.022, scatter=0.3),
     "grain that begins in mid-second": Misreported(flow=lambda time_s: harvest(time_s) * (not 1050.4 < time_s < 1056.6)),
     "a speed that is as reported": Misreported(rpm=lost_teeth, reported=lost_teeth),
     "a sag that is as reported": Misreported(rpm=sagging, reported=sagging),

@@ -1,8 +1,9 @@
 """Whether the pulses on the plate come at the rate of the reported elevator speed.
 
 Grain strikes the plate at the rate of the paddles. The amplitude at that rate is formed along the phase that is integrated from
-the reported speed; where this speed is wrong by a twentieth, pulses and phase part within a second, and the amplitude vanishes
-while the mean and the range of the samples stay.
+the reported speed; where this speed is wrong by a tenth, pulses and phase part within a second, and the amplitude vanishes
+while the mean and the range of the samples stay. Uneven feed and pulses that merge lower the amplitude too, but less, or the
+range with it.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ _KEPT, _LEAST = 30, 20
 """Newest windows that agree, with which a window is compared, and how many there must be."""
 _SEEN = 0.3
 """Least amplitude, relative to the mean, of a sensor that shows the pulses."""
-_HALF = 0.5
-"""Share of its usual value below which a ratio of amplitude, mean and range has changed."""
+_LOST = 0.4
+"""Share of its usual value below which an amplitude relative to mean or range is lost: a speed wrong by a tenth leaves less."""
+_STAYS = 0.65
+"""Share of its usual value above which the range relative to the mean has stayed: a wrong speed hardly changes it."""
 
 
 class SpeedAgreement:
@@ -48,8 +51,8 @@ class SpeedAgreement:
         if len(self._over_mean) >= _LEAST:
             usual_over_mean, usual_over_range = median(self._over_mean), median(self._over_range)
             # A single wrong sample changes the range alone; something on the plate, or a plate without grain, the mean.
-            pulsed = window.span_mv / grain_mv > _HALF * usual_over_mean / usual_over_range
-            lost = over_mean < _HALF * usual_over_mean and over_range < _HALF * usual_over_range
+            pulsed = window.span_mv / grain_mv > _STAYS * usual_over_mean / usual_over_range
+            lost = over_mean < _LOST * usual_over_mean and over_range < _LOST * usual_over_range
             if usual_over_mean > _SEEN and pulsed and lost:
                 return True
         self._over_mean.append(over_mean)
