@@ -15,14 +15,18 @@ START_S = 1_790_841_600.0
 EMPTY_S, GRAIN_S = 10.0, 8.0
 
 
-@cache
 def text(force_mv: float = 60.0, start_s: float = START_S, grain_s: float = GRAIN_S) -> str:
     """A candump log: the elevator runs empty, then grain."""
+    return _stretch(start_s, EMPTY_S, 0.0) + _stretch(start_s + EMPTY_S, grain_s, force_mv)
+
+
+@cache
+def _stretch(start_s: float, duration_s: float, force_mv: float) -> str:
+    """Lines of one force; most logs begin with the same ones."""
     lines = []
-    for first_s, duration_s, mv in ((start_s, EMPTY_S, 0.0), (start_s + EMPTY_S, grain_s, force_mv)):
-        for frame in traffic(first_s, duration_s, mv):
-            message: can.Message = CODEC.encode(frame)
-            lines.append(f"({message.timestamp:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex().upper()}\n")
+    for frame in traffic(start_s, duration_s, force_mv):
+        message: can.Message = CODEC.encode(frame)
+        lines.append(f"({message.timestamp:.6f}) can0 {message.arbitration_id:08X}#{message.data.hex().upper()}\n")
     return "".join(lines)
 
 
