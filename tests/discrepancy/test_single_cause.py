@@ -27,14 +27,19 @@ def fleet_with(effects: dict[str, dict[str, float]], machines: int = 8) -> list[
     ]  # fmt: skip
 
 
-def found_of(effects: dict[str, dict[str, float]], monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]) -> FleetDiagnosis:
-    monkeypatch.setattr("yieldmon.discrepancy.machines.fleet.library", lambda _frame: asked)
-    return diagnose(fleet_with(effects), POLICY)
-
-
-def test_a_fan_that_is_even_is_a_fan(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def fanned() -> list[MachineSweeps]:
     """The combine's grain leaves in seven directions evenly over 24 deg, as no law of single tables has it."""
-    found = found_of({"stream_spread": {"half_width_deg": 12.0}}, monkeypatch, FEW)
+    return fleet_with({"stream_spread": {"half_width_deg": 12.0}})
+
+
+def found_of(fleet: list[MachineSweeps], monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]) -> FleetDiagnosis:
+    monkeypatch.setattr("yieldmon.discrepancy.machines.fleet.library", lambda _frame: asked)
+    return diagnose(fleet, POLICY)
+
+
+def test_a_fan_that_is_even_is_a_fan(fanned: list[MachineSweeps], monkeypatch: pytest.MonkeyPatch) -> None:
+    found = found_of(fanned, monkeypatch, FEW)
     assert found.shared == "effect"
     assert [item.effect for item in found.model] == ["stream_spread"]
     [sd_rad] = [value for name, value in found.model[0].values.items() if name.endswith("spread_rad")]
@@ -42,7 +47,9 @@ def test_a_fan_that_is_even_is_a_fan(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(verdict.verdict == "none" for verdict in found.machines)
 
 
-def test_a_fan_that_is_not_in_the_library_gets_no_others_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fan_that_is_not_in_the_library_gets_no_others_name(
+    fanned: list[MachineSweeps], monkeypatch: pytest.MonkeyPatch
+) -> None:
     others = tuple(name for name in FEW if name != "stream_spread")
-    found = found_of({"stream_spread": {"half_width_deg": 12.0}}, monkeypatch, others)
+    found = found_of(fanned, monkeypatch, others)
     assert (found.shared, found.model) == ("unknown", ())
