@@ -15,7 +15,7 @@ from yieldmon.engine.sweeps.sweep import sweep_sequence
 from yieldmon.frames import EstimateQuality, OperatingState
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.plant import scenario
-from yieldmon.plant.combine import pulse_table
+from yieldmon.plant.pulse_table import Condition, Detail, PulseTable
 
 Array = NDArray[np.float64]
 Force = Callable[[Array, Array], Array]
@@ -41,11 +41,15 @@ def shown_force(machine: Machine, effects: Effects) -> Force:
 @cache
 def _shown_force(machine: Machine, effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...]) -> Force:
     scene = scenario.from_mapping({"effects": {"gravity": "on", **{n: dict(v) for n, v in effects}}}, "test")
-    table = pulse_table(scene, machine)
+    moisture = scene.crop.moisture_pct
+    grain = scene.crop.grain.at_moisture(moisture, scene.effects.moisture_dependence)
+    # The mean force follows from impulses alone, unless the cell is not linear; shapes take most of the time.
+    detail = Detail(shapes=scene.effects.cell_nonlinearity is not None)
+    table = PulseTable(machine, [Condition(moisture, grain, scene.effects)], detail)
 
     def force(flow_kg_s: Array, angle_rad: Array) -> Array:
         speed = np.full(flow_kg_s.shape, SPEED_RAD_S)
-        return shown_force_n(table, scene.effects, flow_kg_s, angle_rad, speed, scene.sensor.response_s, scene.crop.moisture_pct)
+        return shown_force_n(table, scene.effects, flow_kg_s, angle_rad, speed, scene.sensor.response_s, moisture)
 
     return force
 
