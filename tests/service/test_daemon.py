@@ -559,9 +559,16 @@ def test_zero_and_sweep_commands_reach_the_engine(tmp_path, capsys):
     socket_path = str(tmp_path / "yieldmon.sock")
     with running(tmp_path) as bench:
         warm_up(bench)
+        capsys.readouterr()
         assert cli.main(["sweep", "start", "--socket", socket_path]) == 0
+        conditions = "a flow of at least 4 kg/s and the elevator speed are steady for 8 s with the plate at home"
+        assert capsys.readouterr().out == f"a sweep begins as soon as {conditions}\n"
         bench.play(1.5, GRAIN_MV)
         wait_for(lambda: bench.status["sweep"]["state"] == "waiting", "the sweep to wait for steady flow")
+        # It was asked for: when the schedule's next one comes is not when it begins.
+        assert cli.main(["status", "--socket", socket_path]) == 0
+        rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("sweep ")]
+        assert rows[0].split(maxsplit=1)[1].startswith("waiting for steady flow and elevator speed")
         for said in ("sweep ended\n", "sweep is not under way\n"):
             capsys.readouterr()
             assert cli.main(["sweep", "abort", "--socket", socket_path]) == 0

@@ -178,7 +178,7 @@ def test_every_button_with_a_real_daemon(browser: Browser, tmp_path: Path) -> No
             watched.wait("document.getElementById('answer').textContent === 'Ticket 1 undone.'")
             assert press("New load", "Begin load", field="south <b>", crop="") == f"Load {number + 1} begun."
             assert bench.status["load"]["field"] == "south <b>"
-            assert "as soon as the conditions hold" in press("Sweep", "Start sweep")
+            assert "as soon as a flow of at least 4 kg/s" in press("Sweep", "Start sweep")
             assert "ended" in press("End sweep", "End sweep now")
             assert press("Undo zero", "Undo zero") != ""
             # The daemon's answer is what decides; nothing is pressed by opening and closing.

@@ -199,7 +199,9 @@ def _by_calibration(load: StatusLoad) -> bool:
 
 def _sweep(sweep: StatusSweep) -> Iterator[tuple[str, str]]:
     """Sweeps of the plate, and what came of the last one."""
-    yield "sweep", f"{_words(sweep['state'])}, {_due(sweep['due_in_s'])}, {sweep['sweeps']} so far"
+    waits = sweep["state"] == "waiting"
+    when = "for steady flow and elevator speed with the plate at home" if waits else _due(sweep["due_in_s"])
+    yield "sweep", f"{_words(sweep['state'])}{' ' if waits else ', '}{when}, {sweep['sweeps']} so far"
     if sweep["aborted_because"] is not None:
         yield "", f"last sweep aborted: {sweep['aborted_because']}"
     if sweep.get("declined_because") is not None:

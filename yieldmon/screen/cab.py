@@ -239,5 +239,5 @@ def _sweep(sweep: Mapping[str, Any]) -> str:
     state = sweep["state"].replace("_", " ")
     if sweep["progress_pct"]:
         return f"sweep {state} {sweep['progress_pct']:.0f} %"
-    due = sweep["due_in_s"]
+    due = sweep["due_in_s"] if state != "waiting" else None
     return f"sweep {state}" + (f", next in {due / 60.0:.0f} min" if due else "")

@@ -272,7 +272,11 @@ def _sweep_start(order: Order) -> Answer:
             raise InputError("sweep", "updates nothing: the flow comes from estimator_file", "the physical model")
         raise InputError("sweep", "switched off by sweep.enabled in the configuration", "`enabled: true` there, and a reload")
     monitor.request_sweep()
-    return {"sweep": "as soon as the conditions hold"}
+    wanted = monitor.settings.sweep
+    conditions = (
+        f"a flow of at least {wanted.min_flow_kg_s:g} kg/s and the elevator speed are steady for {wanted.steady_windows} s"
+    )
+    return {"sweep": f"as soon as {conditions} with the plate at home"}
 
 
 def _sweep_abort(order: Order) -> Answer:

@@ -96,7 +96,7 @@ function show() {
   set("plate", number(now.plate_angle_deg, 1));
   const sweep = state.sweep;
   const moving = ["moving", "settling", "measuring", "returning"].includes(sweep.state);
-  const due = sweep.due_in_s ? `, next in ${number(sweep.due_in_s / 60)} min` : "";
+  const due = sweep.state !== "waiting" && sweep.due_in_s ? `, next in ${number(sweep.due_in_s / 60)} min` : "";
   set("sweep", words(sweep.state) + (moving ? ` ${number(sweep.progress_pct)} %` : due));
   showFaults();
 }
