@@ -42,3 +42,15 @@ def test_grain_that_dies_away_in_short_stops_does_not_raise_the_zero(decay_s: fl
     zeros_mv = [record.zero_mv for record in records_in(monitor().feed_run(bench.run(DURATION_S)))]
     assert len(zeros_mv) > 0.95 * DURATION_S
     assert zeros_mv[-1] - ZERO_MV == pytest.approx(0.0, abs=0.15)
+
+
+def test_a_drift_that_a_stop_was_too_short_to_follow_widens_the_standard_deviation() -> None:
+    """14 mV in 100 s of harvest, then 20 s without grain: the zero follows by 0.2 mV/s at most."""
+    bench = Bench(seed=SEED)
+    begin_s, end_s, again_s = (bench.start_s + after_s for after_s in (30.0, 130.0, 150.0))
+    bench.zero = lambda time_s: ZERO_MV + 14.0 * min(max((time_s - begin_s) / (end_s - begin_s), 0.0), 1.0)
+    bench.flow = lambda time_s: 10.0 if begin_s <= time_s < end_s or time_s >= again_s else 0.0
+    records = [record for record in records_in(monitor().feed_run(bench.run(180.0))) if record.time_s > again_s + 2.0]
+    assert records[-1].zero_mv - ZERO_MV < 12.0, "the zero has not caught up"
+    for record in records:
+        assert abs(record.mass_flow_kg_s - 10.0) < 2.0 * record.std_dev_kg_s

@@ -49,10 +49,11 @@ class EmptySpells:
         Returns
         -------
         float
-            mV; 0 where the zero was updated since, and where a trickle of grain explains the difference.
+            mV; what is left of it where the zero was still following the spell. 0 where the zero was updated since, and where a
+            trickle of grain explains the difference.
         """
         if self._found is None:
             return 0.0
         level_mv, seen_s = self._found
         away_mv = abs(level_mv - zero_mv)
-        return away_mv if away_mv > trickle_mv and (known_s is None or known_s < seen_s) else 0.0
+        return away_mv if away_mv > trickle_mv and (known_s is None or known_s <= seen_s) else 0.0
