@@ -499,3 +499,10 @@ def test_weighed_loads_of_two_machines_at_the_same_times_are_named(capsys, tmp_p
 def test_a_log_that_follows_another_shares_no_times_with_it(capsys, tmp_path, logs) -> None:
     follows = write(tmp_path / "follows.log", (21.0, 6.0, 60.0))
     assert "same_times" not in json.loads(process(capsys, tmp_path, logs["whole"], follows, "--json")[1])
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_single_path_is_no_list_of_logs(tmp_path: Path, kind: type) -> None:
+    monitor = build_monitor(LOADED.engine, LOADED.machine, LOADED.parameters)
+    with pytest.raises(ValueError, match=r"^paths: '.*a\.log': expected a list of paths, such as \['.*a\.log'\]$"):
+        process_logs(kind(tmp_path / "a.log"), monitor, CODEC, [].append)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -166,3 +167,51 @@ def test_a_column_that_groups_is_not_said_to_be_ignored(given: bool, tmp_path: P
 def test_columns_of_other_names_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", str(table(tmp_path, name="Force [N]"))]) == 2
     assert capsys.readouterr().err.endswith("(it has 'force [n]', 'run')\n")
+
+
+def rows_of(folder: Path, flows_kg_s: Sequence[float], angles_deg: Sequence[float]) -> str:
+    """A table of these conditions, each read ten times with noise of 1 % (seed 5)."""
+    at = api.Conditions(np.radians(angles_deg)[:, None], 400.0 * api.RPM, mass_flow_kg_s=np.asarray(flows_kg_s))
+    forces, rng = api.ForwardModel(api.Machine()).force(at, GRAIN), np.random.default_rng(5)
+    cells = [(a, q, float(forces[i, j])) for i, a in enumerate(angles_deg) for j, q in enumerate(flows_kg_s)]
+    lines = [f"{a:g},{q:g},{newtons * (1.0 + 0.01 * rng.standard_normal()):.3f}" for a, q, newtons in cells for _ in range(10)]
+    path = folder / "few.csv"
+    path.write_text("\n".join(["plate_angle_deg,mass_flow_kg_s,force_n", *lines]) + "\n", encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("options", [[], ["--compare"], ["--robust"], ["--impact", "exchange"], ["--identifiability"]])
+def test_one_condition_repeated_determines_no_parameters(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "p.yaml"
+    assert main(["calibrate", rows_of(tmp_path, [10.0], [70.0]), "--out", str(out), *options]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "few.csv: 1 condition of plate angle, load and speed cannot fix" in line
+    assert not out.exists()
+
+
+def test_a_comparison_of_two_loads_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", rows_of(tmp_path, [5.0, 10.0], [50.0, 70.0]), "--compare", "--starts", "2"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("yieldmon: --compare: 2 loads; cross-validation over loads needs 3 or more")
+
+
+def test_a_comparison_leaves_out_the_model_that_the_other_loads_cannot_fix(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["calibrate", rows_of(tmp_path, [5.0, 10.0, 15.0], [70.0]), "--compare", "--starts", "2"]) == 0
+    printed = capsys.readouterr()
+    assert "alpha-beta" in printed.out
+    assert "physical model" not in printed.out
+    assert "--compare: without a load the others cannot fix the physical model's 3 parameters" in printed.err
+
+
+def test_three_conditions_are_not_asked_for_a_fourth_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where 1 + e ends at its bound the exchange coefficients take its place only if the rows can determine one more."""
+    path = Path(rows_of(tmp_path, [5.0, 10.0, 15.0], [70.0]))
+    header, *lines = path.read_text(encoding="utf-8").splitlines()
+    raised = [f"{a},{q},{1.9 * float(f):.3f}" for a, q, f in (line.split(",") for line in lines)]
+    path.write_text("\n".join([header, *raised]) + "\n", encoding="utf-8")
+    assert main(["calibrate", str(path), "--starts", "2"]) == 0
+    assert "k1" not in capsys.readouterr().out

@@ -14,6 +14,7 @@ from yieldmon.estimation.fitting.calibration_result import Calibration
 from yieldmon.estimation.fitting.least_squares import levenberg_marquardt
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.priors import Prior
 from yieldmon.files import table
 from yieldmon.physics.machine import RPM, Machine
@@ -523,7 +524,22 @@ def test_an_outlier_of_a_robust_fit_is_no_error_of_the_model() -> None:
         (lambda: generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0]))), "2 rows cannot fix 3 parameters"),
         (lambda: Measurements(HOME, np.full(8, np.nan)), "finite numbers"),
         (lambda: Measurements(HOME, np.ones(8), np.zeros(8)), "sigma must hold a number above 0"),
-        (lambda: Measurements(Conditions(1.2, 42.0, paddle_mass_kg=np.full(8, 50.0)), np.ones(8)), "heaviest load"),
+        (
+            lambda: Measurements(Conditions(1.2, 42.0, paddle_mass_kg=np.arange(60.0, 52.0, -1.0)), np.ones(8)),
+            "the heaviest load, 60 kg a paddle in row 1;",
+        ),
+        (
+            lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([5.0, 7.0, 900.0, 9.0])), np.ones(4)),
+            "the heaviest load, 900 kg/s in row 3;",
+        ),
+        (lambda: generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(30, 9.0))), "1 condition of .* cannot fix 3 parameters"),
+        (
+            lambda: generated(
+                Conditions(1.2, 42.0, mass_flow_kg_s=np.repeat([5.0, 9.0], 5), moisture_pct=np.linspace(14, 18, 10))
+            ),
+            "2 conditions of .* cannot fix 3 parameters",
+        ),
+        (lambda: HOME, "data: Conditions: expected Measurements"),
         (lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(8, -5.0)), np.ones(8)), "load must be 0 or more"),
         (lambda: Measurements(Conditions(1.2, np.full(7, 42.0), mass_flow_kg_s=5.0), np.ones(8)), r"rad_s has the shape \(7,\)"),
         (lambda: Measurements(HOME, np.zeros(8)), "every reading is 0"),
@@ -549,6 +565,21 @@ def test_a_search_that_cannot_be_made_is_refused(free: tuple[str, ...], changes:
     rows = generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0, 5.0, 9.0])))
     with pytest.raises(ValueError, match=message):
         calibrate(MODEL, rows, START, free, **changes)
+
+
+def test_a_start_is_values_by_name() -> None:
+    rows = generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0, 5.0, 9.0])))
+    with pytest.raises(ValueError, match="start: ParameterSet: expected values by name"):
+        calibrate(MODEL, rows, ParameterSet(values=START), FREE)  # type: ignore[arg-type]
+
+
+def test_one_condition_is_enough_for_one_parameter_or_beside_a_prior() -> None:
+    rows = generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(10, 9.0)))
+    alone = calibrate(MODEL, rows, START, ("restitution",), starts=1, intervals=False)
+    assert np.isfinite(alone.parameters[0].standard_error)
+    prior = Prior(FREE, np.array([START[name] for name in FREE]), np.diag([0.01, 0.01, 1e4]))
+    beside = calibrate(MODEL, rows, START, FREE, prior=prior, starts=1, intervals=False)
+    assert all(np.isfinite(parameter.standard_error) for parameter in beside.parameters)
 
 
 def test_a_start_needs_one_form_of_the_impact() -> None:

@@ -233,3 +233,9 @@ def test_shapes_that_do_not_broadcast_are_named() -> None:
         ValueError, match=r"inputs: shapes force_n \(3,\), plate_angle_rad \(2,\): expected shapes that broadcast"
     ):
         loop().estimate([1.0, 2.0, 3.0], [1.0, 1.2], 40.0)
+
+
+def test_parameters_are_a_parameter_set() -> None:
+    values = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
+    with pytest.raises(ValueError, match=r"^parameters: dict: expected a ParameterSet"):
+        OpenLoop(ForwardModel(Machine()), values)  # type: ignore[arg-type]

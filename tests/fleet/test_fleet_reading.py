@@ -18,6 +18,7 @@ import pytest
 from tests.fleet import logs
 from tests.fleet.sealing import seal
 from tests.schema_check import problems
+from yieldmon import __version__
 from yieldmon.cli.main import main
 from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.files.parameter_file import save as save_parameters
@@ -398,6 +399,10 @@ def of_an_earlier_release(dataset: Path, day: Path) -> Path:
     place = table.column_names.index("quality")
     table = table.set_column(place, "quality", table["quality"].cast(pa.string()))
     pq.write_table(table.append_column("rows_before", table["number"]), records)
+    provenance = dataset / day / "provenance.parquet"
+    table = pq.read_table(provenance)
+    place = table.column_names.index("software_version")
+    pq.write_table(table.set_column(place, "software_version", pa.array(["0.0.1"] * table.num_rows)), provenance)
     software = json.loads((dataset / day / MARK).read_text())["software"]
     seal(dataset / day, software={**software, "version": "0.0.1"})
     return dataset
@@ -409,7 +414,11 @@ def test_days_of_an_earlier_release_are_read_beside_others(
     """As days that the source has no longer stay in a dataset."""
     day = sorted((season / "first").glob("machine=*/day=*"))[0].relative_to(season / "first")
     old = of_an_earlier_release(shutil.copytree(season / "first", tmp_path / "old"), day)
+    capsys.readouterr()
     assert main(["fleet", "report", str(old)]) == 0
+    [said] = [line for line in capsys.readouterr().err.splitlines() if "measured by" in line]
+    assert said.startswith(f"doubtful: m0 2026-10-02: this day was measured by yieldmon {__version__} (")
+    assert "2026-10-01 by 0.0.1 (" in said
     found = compare(str(old), str(season / "first"))
     assert problems(found, "fleet-compare") == []
     assert (found["equal"], len(found["different"])) == (3, 1)

@@ -12,6 +12,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import get_effect
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
@@ -213,6 +214,12 @@ def test_grain_that_cannot_be_is_refused(values: dict[str, object], message: str
     for reading in (MODEL.force, MODEL.paddle_momentum):
         with pytest.raises(ValueError, match=message):
             reading(conditions, GRAIN | values)
+
+
+def test_parameters_are_values_by_name() -> None:
+    conditions = Conditions(1.2, 42.0, mass_flow_kg_s=1.0)
+    with pytest.raises(ValueError, match=r"^parameters: ParameterSet: expected values by name, such as the `values`"):
+        MODEL.force(conditions, ParameterSet(values=GRAIN))  # type: ignore[arg-type]
 
 
 def test_an_unknown_parameter_of_an_own_effect_is_refused() -> None:

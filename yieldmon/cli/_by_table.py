@@ -21,6 +21,7 @@ from yieldmon.documents.calibrate import ComparedModel
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting import empirical, identifiability
 from yieldmon.estimation.fitting.calibration import Searched, calibrate, examine, profile_curves, search
+from yieldmon.estimation.fitting.calibration_problem import conditions_told_apart
 from yieldmon.estimation.fitting.calibration_result import Calibration
 from yieldmon.estimation.fitting.measurements import Measurements, as_copies_do, copied_rows
 from yieldmon.estimation.fitting.stop_gap import sentence, with_stop_gap
@@ -115,7 +116,9 @@ def _fit(args: argparse.Namespace, machine: Machine, data: table.Table, rows: Me
     fitted, searched = _search(args, machine, data, rows, args.impact)
     asked = args.impact or args.free or args.prior or args.by_moisture or args.stop_gap
     asked = asked or any("restitution" in text for text in (*args.fix, *args.bounds))
-    exchanged = not asked and "restitution" in searched.at_bound
+    # The exchange form has a parameter more.
+    enough = conditions_told_apart(fitted.model, rows) > len(searched.problem.names)
+    exchanged = not asked and enough and "restitution" in searched.at_bound
     if exchanged:
         fitted, searched = _search(args, machine, data, rows, "exchange")
     result = _examined(args, data, fitted, searched)
@@ -259,6 +262,16 @@ def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, ro
         )
         return empirical.Physical(model, again.parameter_set)
 
+    load = rows.columns()[2]
+    fewest = min(conditions_told_apart(model, rows.select(load != each)) for each in np.unique(load)) if np.ptp(load) else 0
+    fixed = fewest >= len(result.names)
+    if fewest and not fixed:
+        left_out = f"cannot fix the physical model's {len(result.names)} parameters, and it is not compared"
+        _notes.note(f"--compare: without a load the others {left_out}")
+    try:
+        compared = empirical.compare(rows, machine, {"physical model": physical} if fixed else {})
+    except ValueError as error:
+        raise InputError("--compare", str(error), "a table that can be cross-validated") from error
     return [
         {
             "model": row.model,
@@ -267,7 +280,7 @@ def _compare(args: argparse.Namespace, result: Calibration, machine: Machine, ro
             "max_abs_pct": row.max_abs_pct,
             "rows_without_answer": row.unanswered,
         }
-        for row in empirical.compare(rows, machine, {"physical model": physical})
+        for row in compared
     ]
 
 

@@ -227,7 +227,7 @@ class OpenLoop:
     Raises
     ------
     ValueError
-        For other effects in the parameters than in the model.
+        For parameters that are no ParameterSet, and for other effects in them than in the model.
 
     References
     ----------
@@ -242,6 +242,10 @@ class OpenLoop:
     """
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
+        if not isinstance(parameters, ParameterSet):
+            raise ValueError(
+                f"parameters: {type(parameters).__name__}: expected a ParameterSet, such as ParameterSet(values=...)"
+            )
         model = following(model, parameters)
         if set(parameters.effects) != set(model.effects):
             raise ValueError(f"the parameters name the effects {parameters.effects}; the model has {model.effects}")

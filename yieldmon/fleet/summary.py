@@ -77,8 +77,9 @@ def summarise(address: str) -> FleetReportDocument:
     -------
     dict
         totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
-        zero, clocks that contradict a day's name, tickets that a machine's others contradict, logs that are there twice, and logs
-        of a machine that overlap in time or hold the same samples at other times. Masses are without what is there twice;
+        zero, clocks that contradict a day's name, machines whose days were measured with several parameters or releases, tickets
+        that a machine's others contradict, logs that are there twice, and logs of a machine that overlap in time or hold the same
+        samples at other times. Masses are without what is there twice;
         counted_again_kg is what that is.
 
     Raises
@@ -99,7 +100,7 @@ def summarise(address: str) -> FleetReportDocument:
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
     doubtful, repeated = _doubtful(days, overlapping.pairs, samples_of(query), address)
-    doubtful += _of_other_configurations(days) + _unlike_tickets(tickets)
+    doubtful += _of_other_configurations(days) + _of_other_software(days) + _unlike_tickets(tickets)
     _leave_out(days, {**overlapping.again_kg, **{log: measured_kg.get(log) or 0.0 for log in repeated}})
     by_day: dict[tuple[str, str], dict[str, int]] = {}
     for row in faults:
@@ -112,7 +113,7 @@ def summarise(address: str) -> FleetReportDocument:
             "machines": len(machines), "machine_days": len(days), "hours": sum(row["seconds"] for row in days) / 3600.0,
             "mass_kg": sum(row["mass_kg"] for row in days),
             "counted_again_kg": sum(row["counted_again_kg"] for row in days), "tickets": _errors(tickets),
-            "software": sorted({f"{row['software_version']} ({row['source_sha256'][:12]})" for row in days}),
+            "software": sorted({_software(row) for row in days}),
             "parameter_hashes": len({row["parameters_sha256"] for row in days}),
         },
         "machines": machines,
@@ -280,6 +281,24 @@ def _of_other_configurations(days: Rows) -> list[DayProblem]:
             problem = f"this day{more} was measured with other parameters or settings than {rows[0]['day']}"
             found.append(_problem(others[0], f"{problem}; `fleet run` of all its logs measures them alike"))
     return found
+
+
+def _of_other_software(days: Rows) -> list[DayProblem]:
+    """Machines whose days were measured by several releases, as where the source no longer has the logs of some."""
+    found: list[DayProblem] = []
+    for rows in _by_machine(days).values():
+        others = [row for row in rows if _software(row) != _software(rows[0])]
+        if others:
+            more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+            first = f"{rows[0]['day']} by {_software(rows[0])}"
+            problem = f"this day{more} was measured by yieldmon {_software(others[0])}, {first}"
+            found.append(_problem(others[0], f"{problem}; `fleet run` of all its logs measures them alike"))
+    return found
+
+
+def _software(day: Mapping[str, Any]) -> str:
+    """The release that measured a day, with the beginning of its source's hash."""
+    return f"{day['software_version']} ({day['source_sha256'][:12]})"
 
 
 def _errors(rows: Rows) -> TicketErrors:

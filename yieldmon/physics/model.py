@@ -5,7 +5,7 @@ Source: "Self-Calibrating Mass Flow Sensor" (Univ. of Illinois / Deere), chapter
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -331,12 +331,15 @@ class ForwardModel:
             raise ValueError(f"overfull {overfull!r}: expected 'raise' or 'nan'")
         refuses = overfull == "raise"
         if refuses:
+            if not isinstance(parameters, Mapping):
+                given = type(parameters).__name__
+                raise ValueError(f"parameters: {given}: expected values by name, such as the `values` of a ParameterSet")
             refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
             self._refuse_position(conditions)
             self._refuse_other_names(parameters)
             _refuse_impossible_grain(parameters)
-            given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
-            refuse_shapes("conditions", given | dict(parameters))
+            arrays = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
+            refuse_shapes("conditions", arrays | dict(parameters))
         throw = self._throw(conditions, parameters)
         momentum = throw.momentum(_offered_kg(throw, conditions))
         if conditions.plate_position_m is not None:

@@ -34,6 +34,7 @@ from yieldmon.fleet.worker import DONE, FAILED, LEFT, SKIPPED, Outcome, Task, re
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.config.configuration import Configuration
+from yieldmon.units import counted
 
 _SAID_EVERY_S = 10.0
 _MOST_LEFT_OUT = 50
@@ -152,7 +153,8 @@ def _say_what_is_left(dataset: Dataset, partitions: Sequence[Partition]) -> None
     was read whole."""
     others = Counter(name.partition("/")[0] for name in {*dataset.names()} - {partition.name for partition in partitions})
     for folder, days in sorted(others.items()):
-        _say(f"{folder}: {days} days are in {dataset.address} and not in the source; they stay until their folders are removed")
+        there, stay = ("is", "it stays until its folder is") if days == 1 else ("are", "they stay until their folders are")
+        _say(f"{folder}: {counted(days, 'day')} {there} in {dataset.address} and not in the source; {stay} removed")
 
 
 @contextmanager

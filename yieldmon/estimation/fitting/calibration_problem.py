@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from yieldmon.estimation.priors import Bounds, Prior, fitting_bounds, follows_sc
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.units import counted
 
 from .batch import MomentumBatch
 from .measurements import Measurements
@@ -41,8 +42,29 @@ class Noise:
         return np.asarray(np.sqrt(max(self.variance_factor, 1e-300)) / self.weight)
 
 
-def _refuse(data: Measurements, start: Mapping[str, float], names: tuple[str, ...], bounds: Bounds, *, with_prior: bool) -> None:
+def conditions_told_apart(model: ForwardModel, data: Measurements) -> int:
+    """How many conditions the rows have that the model tells apart: as many parameters can they determine at most."""
+    at = data.conditions
+    if not model.needs_moisture:
+        at = replace(at, moisture_pct=None)
+    _, cell = replace(data, conditions=at).cells()
+    return int(cell.max()) + 1
+
+
+def _refuse(
+    model: ForwardModel,
+    data: Measurements,
+    start: Mapping[str, float],
+    names: tuple[str, ...],
+    bounds: Bounds,
+    *,
+    with_prior: bool,
+) -> None:
     """Raises ValueError for a calibration that has no answer."""
+    for name, given, kind in (("data", data, Measurements), ("start", start, Mapping)):
+        if not isinstance(given, kind):
+            wanted = "Measurements" if kind is Measurements else "values by name, such as the `values` of a ParameterSet"
+            raise ValueError(f"{name}: {type(given).__name__}: expected {wanted}")
     if data.momentum.size < len(names) and not with_prior:
         raise ValueError(f"{data.momentum.size} rows cannot fix {len(names)} parameters ({', '.join(names)})")
     missing = [n for n in names if n not in start]
@@ -57,6 +79,10 @@ def _refuse(data: Measurements, start: Mapping[str, float], names: tuple[str, ..
             raise ValueError(f"bounds of {name}: not in this model; expected one of {', '.join(start)}")
     if not np.any(data.momentum):
         raise ValueError("measurements: every reading is 0; expected readings of grain")
+    told_apart = conditions_told_apart(model, data)
+    if told_apart < len(names) and not with_prior:
+        are = f"{counted(told_apart, 'condition')} of plate angle, load and speed cannot fix {len(names)} parameters"
+        raise ValueError(f"{are} ({', '.join(names)}), however often repeated; measure at more loads or angles")
 
 
 class CalibrationProblem:
@@ -94,7 +120,7 @@ class CalibrationProblem:
         bounds: Bounds | None,
         robust: bool,
     ) -> None:
-        _refuse(data, start, names, bounds or {}, with_prior=prior is not None)
+        _refuse(model, data, start, names, bounds or {}, with_prior=prior is not None)
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()

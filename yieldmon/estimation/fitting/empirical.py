@@ -18,6 +18,7 @@ from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.units import counted
 
 from .measurements import Measurements
 
@@ -147,7 +148,7 @@ def compare(
     mass = paddle_mass(data, machine)
     loads = np.unique(data.columns()[2])
     if loads.size < 3:
-        raise ValueError(f"{loads.size} loads; cross-validation over loads needs 3 or more")
+        raise ValueError(f"{counted(loads.size, 'load')}; cross-validation over loads needs 3 or more")
     fits: dict[str, Callable[[Measurements], LoadModel]] = {
         "force-proportional (1 constant)": lambda d: ForceProportional.fit(d, paddle_mass(d, machine)),
         "alpha-beta (2 coefficients)": lambda d: AlphaBetaLoad.fit(d, paddle_mass(d, machine), machine),

@@ -17,6 +17,7 @@ from yieldmon.physics.numerics import Array
 from .calibration_problem import ROBUST_SCALE, CalibrationProblem
 from .calibration_result import Basin
 from .least_squares import BatchSearch, levenberg_marquardt
+from .measurements import Measurements
 
 _SAME_BASIN = 1e-3
 """Largest distance, as a share of the bounds' width, between two solutions that count as one."""
@@ -49,9 +50,18 @@ def _draw(problem: CalibrationProblem, starts: int, rng: np.random.Generator) ->
             return theta
         theta[bad] = rng.uniform(low, high, (int(np.sum(bad)), len(problem.names)))
     if np.all(bad):
-        raise ValueError("no start within the bounds can carry the heaviest load; is density or paddle mass wrong?")
+        raise ValueError(f"no start within the bounds can carry {_heaviest(problem.data)}; is its unit or the density wrong?")
     usable: Array = theta[~bad]
     return usable
+
+
+def _heaviest(data: Measurements) -> str:
+    """The heaviest load, in words, with its row."""
+    _, speed_rad_s, load, _ = data.columns()
+    by_flow = data.conditions.paddle_mass_kg is None
+    row = int(np.argmax(load / speed_rad_s if by_flow else load))
+    number = row + 1 if data.places is None else int(data.places[row]) + 1
+    return f"the heaviest load, {load[row]:.4g} {'kg/s' if by_flow else 'kg a paddle'} in row {number}"
 
 
 def _search(

@@ -90,6 +90,8 @@ def process_logs(
 
     Raises
     ------
+    ValueError
+        For a single path instead of a sequence.
     InputError
         For a log that cannot be read, and where all logs hold nothing that the engine could take, or nothing to weigh.
 
@@ -107,6 +109,8 @@ def process_logs(
     >>> summary.windows == len(rows)
     True
     """
+    if isinstance(paths, str | Path):
+        raise ValueError(f"paths: {str(paths)!r}: expected a list of paths, such as [{str(paths)!r}]")
     summary = Summary()
     mapping = default_map() if signals is None else signals
     bus = InputFrames(codec, mapping)
