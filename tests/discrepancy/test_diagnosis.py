@@ -462,9 +462,19 @@ def test_a_sensor_unit_takes_the_exchange_form(make_rows, start) -> None:
     assert "k1" in seen.choice.base.values
 
 
-def test_ties_come_with_rows_that_separate_them(make_rows, start) -> None:
-    """At one speed a turned jet is the same whether released early or already moving outward."""
-    found = diagnosis.diagnose_rows(make_rows({"release_angle": -0.06}, speeds_rpm=(400.0,), noise=0.02), start, QUICK)
+@pytest.fixture(scope="module")
+def released_rows(make_rows) -> Rows:
+    """Of one speed, where a turned jet is the same whether released early or already moving outward."""
+    return make_rows({"release_angle": -0.06}, noise=0.02, **ONE_SPEED)
+
+
+@pytest.fixture(scope="module")
+def released_seen(released_rows, start) -> diagnosis.Examination:
+    return diagnosis.examine(released_rows, start, QUICK)
+
+
+def test_ties_come_with_rows_that_separate_them(released_rows, released_seen) -> None:
+    found = diagnosis.conclude(released_seen, released_rows, QUICK)
     assert found.choice.rivals
     machine = Machine()
     for row in found.plan.rows:
@@ -503,8 +513,8 @@ def test_separation_with_a_row_more_is_that_of_a_refit() -> None:
         assert found == pytest.approx(left[0], rel=1e-10)
 
 
-def test_a_plan_has_the_power_that_it_states_and_the_best_row(make_rows, start) -> None:
-    choice = diagnosis.examine(make_rows({"release_angle": -0.06}, speeds_rpm=(400.0,), noise=0.02), start, QUICK).choice
+def test_a_plan_has_the_power_that_it_states_and_the_best_row(released_seen) -> None:
+    choice = released_seen.choice
     rival = next(c.fit for c in choice.looked_at if c.effect == "plate_angle_offset")
     noise = Noise(1.0, 0.02, 40.0, "replicates")
     for count in (1, 3):
