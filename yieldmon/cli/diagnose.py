@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     _check_adopt(args, source)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
-    asked = "" if recorded.is_store(args.data) else model_options.check_force(data, machine)
+    asked = model_options.no_question if recorded.is_store(args.data) else model_options.check_force(data, machine)
     options = replace(
         diagnosis.Options(),
         form=args.form,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from math import isfinite
 from pathlib import Path
 
@@ -232,10 +233,15 @@ def _at(data: Table, machine: Machine, rows: NDArray[np.intp]) -> Conditions:
     return Conditions(**{name: np.asarray(column)[rows] for name, column in given.items() if column is not None})
 
 
-def ask(question: str) -> None:
-    """Of a table, once it could be used: a refusal is one line."""
-    if question:
-        _notes.note(question)
+def no_question() -> str:
+    """Of a table about which nothing is asked."""
+    return ""
+
+
+def ask(question: Callable[[], str]) -> None:
+    """Of a table, once it could be used: a refusal is one line. question: that of `check_force`."""
+    if said := question():
+        _notes.note(said)
 
 
 def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
@@ -246,9 +252,9 @@ def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measure
     return rows.select(chosen)
 
 
-def check_force(data: Table, machine: Machine) -> str:
-    """A question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those that
-    none can, typically because of their unit.
+def check_force(data: Table, machine: Machine) -> Callable[[], str]:
+    """Gives a question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those
+    that none can, typically because of their unit. The question takes fits, which a table that is refused need not wait for.
 
     Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten. Readings
     that are too small are asked about unless the rows refute each unit that would make them so (`unit_question.possible`): grain
@@ -256,7 +262,7 @@ def check_force(data: Table, machine: Machine) -> str:
     grain does: asked about where the rows refute kilograms, or where paddles hold less than a row's load.
     """
     if data.reading == RESPONSE:
-        return ""
+        return no_question
     unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
     known = parameter_file.load(shipped(parameter_file.DEFAULT))
     values, load = momentum(data, machine)[0], data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
@@ -264,29 +270,34 @@ def check_force(data: Table, machine: Machine) -> str:
     predicted = ForwardModel(machine, known.effects).paddle_momentum(_at(data, machine, at), known.values, overfull="nan").real
     usable = np.isfinite(predicted) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
     if not np.any(usable):
-        return ""
+        return no_question
     ratio = float(np.median(values[at][usable] / predicted[usable]))
     if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
         if _LIKELY_RIGHT <= ratio <= _ASKED_FACTOR:
-            return ""
-        # A fit, and so scipy: most commands never ask.
-        from yieldmon.estimation.weighing import unit_question
-
+            return no_question
         rows = Measurements(_at(data, machine, at), values[at])
-        model = ForwardModel(machine)
-        # More than a paddle holds is no machine's load, and as good a reason to ask as rows that refute their unit.
-        likely = 1.0 / _ASKED_FACTOR <= ratio < 1.0 and np.all(np.isfinite(predicted))
-        if likely and not unit_question.stated_is_refuted(model, rows):
-            return ""
-        if ratio < 1.0 and not unit_question.possible(model, rows, (str(data.load), data.reading)):
-            return ""
-        load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
-        return (
-            f"{data.path}: {data.reading} is {ratio:.2g} times that of grain on this machine: "
-            f"is {data.load} in {load_unit}, and {data.reading} in {unit}?"
-        )
+        return partial(_question, data, machine, rows, ratio, unit, held=bool(np.all(np.isfinite(predicted))))
     hint = "; these look like kilograms-force (1 kgf is 9.807 N)" if 0.05 <= ratio <= 0.2 and data.reading == "force_n" else ""
     raise InputError(f"{data.path}: {data.reading}", f"is {ratio:.2g} times that of grain on this machine", unit + hint)
+
+
+def _question(data: Table, machine: Machine, rows: Measurements, ratio: float, unit: str, *, held: bool) -> str:
+    """That of `check_force`. ratio: of the readings to those of grain; unit: theirs; held: whether paddles hold every load."""
+    # A fit, and so scipy: most commands never ask.
+    from yieldmon.estimation.weighing import unit_question
+
+    model = ForwardModel(machine)
+    # More than a paddle holds is no machine's load, and as good a reason to ask as rows that refute their unit.
+    likely = 1.0 / _ASKED_FACTOR <= ratio < 1.0 and held
+    if likely and not unit_question.stated_is_refuted(model, rows):
+        return ""
+    if ratio < 1.0 and not unit_question.possible(model, rows, (str(data.load), data.reading)):
+        return ""
+    load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
+    return (
+        f"{data.path}: {data.reading} is {ratio:.2g} times that of grain on this machine: "
+        f"is {data.load} in {load_unit}, and {data.reading} in {unit}?"
+    )
 
 
 def in_unit_of(data: Table, known: ParameterSet, args: argparse.Namespace) -> ParameterSet:
