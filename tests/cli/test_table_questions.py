@@ -180,17 +180,6 @@ def rows_of(folder: Path, flows_kg_s: Sequence[float], angles_deg: Sequence[floa
     return str(path)
 
 
-@pytest.mark.parametrize("options", [[], ["--compare"], ["--robust"], ["--impact", "exchange"], ["--identifiability"]])
-def test_one_condition_repeated_determines_no_parameters(
-    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "p.yaml"
-    assert main(["calibrate", rows_of(tmp_path, [10.0], [70.0]), "--out", str(out), *options]) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert "few.csv: 1 condition of plate angle, load and speed cannot fix" in line
-    assert not out.exists()
-
-
 def test_a_comparison_of_two_loads_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", rows_of(tmp_path, [5.0, 10.0], [50.0, 70.0]), "--compare", "--starts", "2"]) == 2
     [line] = capsys.readouterr().err.splitlines()

@@ -199,8 +199,7 @@ def test_a_question_that_means_something_else_is_refused(ask: Callable[[Conditio
         ({"friction": "0.2"}, r"parameters: friction: '0\.2': expected numbers$"),
         ({"friction": None}, r"parameters: friction: None: expected numbers$"),
         ({"density": -1100.0}, r"parameters: density -1100: expected 1 to 20000 kg/m3$"),
-        ({"restitution": 1.5}, r"parameters: restitution 1\.5: expected -1 to 1$"),
-        ({"restitution": -2.0}, r"parameters: restitution -2: expected -1 to 1$"),
+        ({"restitution": -2.0}, r"parameters: restitution -2: expected -1 to inf$"),
         ({"shape_ratio": 0.0}, r"parameters: shape_ratio 0: expected 0\.05 to 6$"),
         ({"frction": 0.3}, r"parameters: frction: unknown; expected some of friction, density"),
         (

@@ -383,8 +383,9 @@ def _refuse_impossible_grain(parameters: Parameters) -> None:
         if value.dtype.kind not in "iufc":
             raise ValueError(f"parameters: {name}: {parameters[name]!r}: expected numbers")
         low, high = (-np.inf, np.inf) if GRAIN[name].follows_response else GRAIN[name].limits
-        # A search may pass through a restitution below 0; no gain 1 + e is below 0.
-        low -= GRAIN[name].offset
+        if GRAIN[name].offset:
+            # A search may pass through any restitution with a gain 1 + e that is not below 0, and scales may trade with it.
+            low, high = -GRAIN[name].offset, np.inf
         numbers = np.ravel(real(value))
         for wrong in numbers[~((numbers >= low) & (numbers <= high))][:1]:
             raise ValueError(f"parameters: {name} {wrong:g}: expected {low:g} to {high:g} {GRAIN[name].unit}".rstrip())

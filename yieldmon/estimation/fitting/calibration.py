@@ -97,8 +97,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        For fewer rows or, without a prior, fewer different conditions than free parameters, for parameters, bounds or starts that
-        make no search, or where the model cannot carry the loads.
+        For fewer rows than free parameters, for parameters, bounds or starts that make no search, or where the model cannot carry
+        the loads.
 
     References
     ----------

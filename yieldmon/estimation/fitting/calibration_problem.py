@@ -13,7 +13,6 @@ from yieldmon.estimation.priors import Bounds, Prior, fitting_bounds, follows_sc
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
-from yieldmon.units import counted
 
 from .batch import MomentumBatch
 from .measurements import Measurements
@@ -51,15 +50,7 @@ def conditions_told_apart(model: ForwardModel, data: Measurements) -> int:
     return int(cell.max()) + 1
 
 
-def _refuse(
-    model: ForwardModel,
-    data: Measurements,
-    start: Mapping[str, float],
-    names: tuple[str, ...],
-    bounds: Bounds,
-    *,
-    with_prior: bool,
-) -> None:
+def _refuse(data: Measurements, start: Mapping[str, float], names: tuple[str, ...], bounds: Bounds, *, with_prior: bool) -> None:
     """Raises ValueError for a calibration that has no answer."""
     for name, given, kind in (("data", data, Measurements), ("start", start, Mapping)):
         if not isinstance(given, kind):
@@ -79,10 +70,6 @@ def _refuse(
             raise ValueError(f"bounds of {name}: not in this model; expected one of {', '.join(start)}")
     if not np.any(data.momentum):
         raise ValueError("measurements: every reading is 0; expected readings of grain")
-    told_apart = conditions_told_apart(model, data)
-    if told_apart < len(names) and not with_prior:
-        are = f"{counted(told_apart, 'condition')} of plate angle, load and speed cannot fix {len(names)} parameters"
-        raise ValueError(f"{are} ({', '.join(names)}), however often repeated; measure at more loads or angles")
 
 
 class CalibrationProblem:
@@ -120,7 +107,7 @@ class CalibrationProblem:
         bounds: Bounds | None,
         robust: bool,
     ) -> None:
-        _refuse(model, data, start, names, bounds or {}, with_prior=prior is not None)
+        _refuse(data, start, names, bounds or {}, with_prior=prior is not None)
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()
