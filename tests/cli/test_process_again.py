@@ -196,6 +196,16 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_
     assert sum(row.mass_kg for row in read_seconds(tmp_path / "out.csv")) > 10.0
 
 
+def test_whose_machine_and_grain_measured_is_said_where_no_configuration_is_given(capsys, tmp_path, logs, own) -> None:
+    own_one = tmp_path / "yieldmon.yaml"
+    own_one.write_text("machine_file: null\n")
+    cases = [((), "the shipped machine and its corn;"), (("--params", own), "the shipped machine;"), (("--config", own_one), "")]
+    for words, expected in cases:
+        code, _, err = process(capsys, tmp_path, logs["whole"], *words)
+        assert code == 0, err
+        assert (expected in err) if expected else ("the shipped machine" not in err)
+
+
 def test_a_log_without_times_says_why_there_is_no_mass(capsys, tmp_path, logs) -> None:
     """As a recorder without a clock writes it."""
     path = tmp_path / "still.log"
