@@ -112,7 +112,7 @@ def test_the_curve_of_another_crop_is_no_certainty() -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [{"plate_friction.friction": 0.1}, {"k1": 0.2, "k2": 1.4}],
+    [{"plate_friction.coefficient": 0.1}, {"k1": 0.2, "k2": 1.4}],
     ids=["another effect", "a gain that goes with the load"],
 )
 def test_nothing_is_carried_from_parameters_of_another_form(values: dict[str, float]) -> None:

@@ -288,7 +288,7 @@ def test_days_that_the_source_has_no_longer_are_named(tree: Path, tmp_path: Path
     (tree / "m0").rename(tree / "new name")
     code, _, said = fleet_run(tree, tmp_path / "out", capsys)
     assert code == 0
-    assert "machine=m0: 1 days are in" in said
+    assert "machine=m0: 1 day is in" in said
     assert "machine=m1" not in said
     assert main(["fleet", "report", str(tmp_path / "out"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -45,7 +45,7 @@ def _by_speed(impulse: Impulse, values: Values, setting: Setting) -> Impulse:
 EFFECT = Effect(
     name="plate_friction",
     stage="impact",
-    summary="Grain drags along the plate as it strikes: friction up to the impulse that makes it roll, or stops it.",
+    summary="Grain drags along the plate as it strikes: Coulomb friction up to the impulse that makes it roll, or stops it.",
     signature="factor 1 + mu_p cot(phi) where grain slides: more at low plate angles, nothing at 90 deg",
     source="oblique impact of spheres: Walton and Braun, Journal of Rheology 30 (1986); Maw, Barber, Fawcett, Wear 38 (1976)",
     parameters=(EffectParameter("coefficient", "", 0.0, 0.0, 1.0, 0.2, "friction between grain and plate", 0.15),),
