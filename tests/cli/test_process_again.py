@@ -199,7 +199,7 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_
 def test_whose_machine_and_grain_measured_is_said_where_no_configuration_is_given(capsys, tmp_path, logs, own) -> None:
     own_one = tmp_path / "yieldmon.yaml"
     own_one.write_text("machine_file: null\n")
-    cases = [((), "the shipped machine and its corn;"), (("--params", own), "the shipped machine;"), (("--config", own_one), "")]
+    cases = [((), "the shipped machine and crop;"), (("--params", own), "the shipped machine;"), (("--config", own_one), "")]
     for words, expected in cases:
         code, _, err = process(capsys, tmp_path, logs["whole"], *words)
         assert code == 0, err

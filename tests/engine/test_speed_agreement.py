@@ -73,7 +73,7 @@ def test_seconds_in_which_the_speed_sensor_loses_teeth_are_not_measured_and_said
     assert harvested_kg - last.load_kg < 3.0 * last.load_std_dev_kg
 
 
-@pytest.mark.parametrize("share", [0.5, 0.75, 0.9, 1.1, 1.5])
+@pytest.mark.parametrize("share", [0.5, 0.67, 0.75, 0.9, 1.1, 1.33, 1.5])
 def test_a_speed_wrong_by_a_tenth_or_more_is_seen(share: float) -> None:
     kept = measured(Misreported(reported=lambda time_s: 400.0 * share if in_wrong(time_s) else 400.0))
     assert set(WRONG) <= set(missing(kept))

@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _together(args, loaded, units)
     if args.config is None:
-        grain = "" if args.params or args.estimator else " and its corn"
+        grain = "" if args.params or args.estimator else " and crop"
         _notes.note(f"measured with the shipped machine{grain}; for logs of another machine give --config", "note")
     if loaded.parameters.scale_error > 0.0:
         _notes.note(_notes.not_calibrated(loaded.parameters.scale_error, loaded.parameters.carried_from), "note")

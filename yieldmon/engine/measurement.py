@@ -128,7 +128,7 @@ class Measurement:
         self._stuck_s = 0
         self._struck_s = 0
         self._scatter = PaddleScatter(settings.windows)
-        self._agreement = None if slow else SpeedAgreement()
+        self._agreement = None if slow else SpeedAgreement(len(machine.paddle_spacings_m))
         self._sampled = self._ever_sampled = False
         self._jumps = 0
         self._paused = 0.0, 0.0
