@@ -131,6 +131,11 @@ def test_a_wrong_sample_is_no_wrong_speed() -> None:
     assert shown(kept) == []
 
 
-def test_before_twenty_seconds_of_grain_nothing_is_said() -> None:
-    kept = measured(Misreported(reported=lambda time_s: 300.0 if 1020.0 <= time_s < 1023.0 else 400.0))
+def test_before_ten_seconds_of_grain_nothing_is_said() -> None:
+    kept = measured(Misreported(reported=lambda time_s: 300.0 if 1018.0 <= time_s < 1021.0 else 400.0))
     assert shown(kept) == []
+
+
+def test_after_twelve_seconds_of_grain_it_is_said() -> None:
+    kept = measured(Misreported(reported=lambda time_s: 300.0 if 1025.0 <= time_s < 1028.0 else 400.0))
+    assert {25, 26, 27} <= set(missing(kept))

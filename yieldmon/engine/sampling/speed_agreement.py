@@ -13,7 +13,7 @@ from statistics import median
 
 from yieldmon.engine.sampling.windows import Window
 
-_KEPT, _LEAST = 30, 20
+_KEPT, _LEAST = 30, 10
 """Newest windows that agree, with which a window is compared, and how many there must be."""
 _SEEN = 0.3
 """Least amplitude, relative to the mean, of a sensor that shows the pulses."""
@@ -45,7 +45,7 @@ class SpeedAgreement:
         Returns
         -------
         bool
-            Never before twenty windows with clear pulses.
+            Never before ten windows with clear pulses.
         """
         if not window.span_mv > 0.0:
             return False
