@@ -302,7 +302,8 @@ class Measurement:
     def _contradicts_speed(self, window: Window) -> bool:
         """Whether the pulses of a window with grain come at another rate than that of the reported speed."""
         zero, settings = self.zero.state, self._settings
-        if self._agreement is None or zero is None or window.lost_frames or window.contested:
+        # Of pulses that are cut off neither range nor mean is known.
+        if self._agreement is None or zero is None or window.lost_frames or window.contested or window.saturated_share > 0.0:
             return False
         grain_mv = window.mean_mv - zero.zero_mv
         if not grain_mv * self._machine.sensor.gain_n_per_mv > settings.gate.certain_force_n:
