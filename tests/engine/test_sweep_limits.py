@@ -236,6 +236,18 @@ def test_a_request_is_withdrawn_by_an_abort_and_a_waiting_sweep_put_off() -> Non
     assert (sweep.state, sweep.machine.schedule.remaining_s(sweep.now), sweep.machine.abort_reason) == (S.IDLE, 64.0, None)
 
 
+def test_a_withdrawn_request_leaves_the_schedule_as_it_was() -> None:
+    sweep = Sweep()
+    sweep.tick(0.125)
+    due_s = sweep.now + sweep.machine.schedule.remaining_s(sweep.now)
+    sweep.machine.request()
+    assert sweep.tick(1.0).state is S.WAITING
+    assert sweep.machine.abort(sweep.now)
+    assert sweep.state is S.IDLE
+    assert sweep.now + sweep.machine.schedule.remaining_s(sweep.now) == due_s
+    assert sweep.tick(0.125).state is S.IDLE
+
+
 @pytest.mark.parametrize(
     ("how", "stays"),
     [

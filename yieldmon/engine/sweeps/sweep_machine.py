@@ -35,13 +35,15 @@ class SweepMachine(PlateSweep):
         self.schedule.requested = True
 
     def abort(self, now_s: float, reason: SweepAbort = SweepAbort.OPERATOR) -> bool:
-        """End the sweep under way, if any, and take the plate home; withdraw an open request. False where there was neither."""
+        """End the sweep under way, if any, and take the plate home; withdraw an open request; put off a sweep that is due. False
+        where there was none of these."""
         requested, self.schedule.requested = self.schedule.requested, False
         if self.visiting or self.completed:
             self._abort(now_s, reason)
         elif self.state is SweepState.WAITING:
             self._enter(SweepState.IDLE)
-            self.schedule.skip(now_s)
+            if self.schedule.begins(now_s):
+                self.schedule.skip(now_s)
         else:
             return requested
         return True
