@@ -64,18 +64,27 @@ def test_what_happens_before_the_first_batch_has_the_time_of_the_start() -> None
     assert [action.time_s for action in journal.batch(monitor, 1.7e9 + 5.0, {}).actions] == [1.7e9]
 
 
+SAVED_S = 1.7e9
+
+
 @pytest.mark.parametrize(
-    ("totals", "now_s", "expected"),
+    ("totals", "saved_s", "now_s", "expected"),
     [
-        (Totals(load_number=7, load_kg=50.0), 125.0, (7, 25.0)),
-        (Totals(load_number=7, load_kg=50.0), 60.0, (7, 0.0)),
-        (Totals(load_number=7), 125.0, None),
-        (Totals(load_number=7, load_kg=50.0, load_open=False), 125.0, None),
-        (None, 125.0, None),
+        (Totals(load_number=7, load_kg=50.0), SAVED_S, SAVED_S + 25.0, (7, 25.0)),
+        (Totals(load_number=7, load_kg=50.0), SAVED_S, SAVED_S - 40.0, None),
+        (Totals(load_number=7, load_kg=50.0), 100.0, SAVED_S, None),
+        (Totals(load_number=7, load_kg=50.0), SAVED_S, 100.0, None),
+        (Totals(load_number=7, load_kg=50.0), 100.0, 125.0, None),
+        (Totals(load_number=7), SAVED_S, SAVED_S + 25.0, None),
+        (Totals(load_number=7, load_kg=50.0, load_open=False), SAVED_S, SAVED_S + 25.0, None),
+        (None, SAVED_S, SAVED_S + 25.0, None),
     ],
-    ids=["open", "the clock was set back", "empty", "closed", "new store"],
+    ids=["open", "set back", "not set before", "not set now", "never set", "empty", "closed", "new store"],
 )
-def test_a_load_that_goes_on_lacks_what_came_between(totals: Totals | None, now_s: float, expected: tuple[int, float]) -> None:
+def test_a_load_that_goes_on_lacks_what_came_between(
+    totals: Totals | None, saved_s: float, now_s: float, expected: tuple[int, float] | None
+) -> None:
+    """After a stop with a clock that was not set it lacked 54 years."""
     engine = None if totals is None else EngineState(totals=totals)
-    journal = Journal(Memory(engine=engine, saved_s=100.0), parameter_file.load(), now_s=now_s)
+    journal = Journal(Memory(engine=engine, saved_s=saved_s), parameter_file.load(), now_s=now_s)
     assert journal.unrecorded == expected

@@ -48,9 +48,10 @@ class StdDevByCause(TypedDict):
 
 
 class StatusLoad(Harvested):
-    """The load, open or the last one. contested_mass_kg: measured while more than one node sent samples. unrecorded_s: between
-    the last record of a run before and this one, null where the load began since; grain of that time is not in it. complete:
-    whether every second of it was measured, by this run; null where it began in another or is not known to this one."""
+    """The load, open or the last one. contested_mass_kg: measured while more than one node sent samples. unrecorded_s:
+    between the last record of a run before and this one, null where the load began since or the clock does not tell; grain
+    of that time is not in it. complete: whether every second of it was measured, by this run; null where it began in another
+    or is not known to this one."""
 
     number: int
     open: bool

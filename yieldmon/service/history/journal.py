@@ -25,14 +25,16 @@ from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Batch, SweepRecord
 from yieldmon.service.storage.rows import SecondRow, second_row
 from yieldmon.service.tickets.action_log import ActionLog
+from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 
 class Journal:
     """Numbers batches and seconds, and collects what the monitor hands back until the next batch.
 
     unrecorded: number of the load that was open as a run before ended, and the time, s, from its last record to this run; None
-    where none was. actions: what operators entered. parameters: those in use and before. loads: as measured. field, crop: names
-    of the loads from now on. kernel_weight_g: of a thousand kernels, as an operator entered it.
+    where none was, or where the clock does not tell how long. actions: what operators entered. parameters: those in use and
+    before. loads: as measured. field, crop: names of the loads from now on. kernel_weight_g: of a thousand kernels, as an
+    operator entered it.
     """
 
     def __init__(self, memory: Memory, configured: ParameterSet, *, now_s: float) -> None:
@@ -197,9 +199,11 @@ class Journal:
 
 
 def _unrecorded(memory: Memory, now_s: float) -> tuple[int, float] | None:
+    if not EARLIEST_BUS_TIME_S <= memory.saved_s <= now_s:
+        return None
     if memory.engine is None or not memory.engine.totals.load_open or not memory.engine.totals.load_kg > 0.0:
         return None
-    return memory.engine.totals.load_number, max(0.0, now_s - memory.saved_s)
+    return memory.engine.totals.load_number, now_s - memory.saved_s
 
 
 def _sweep_row(sweep: SweepEnded, time_s: float) -> SweepRecord:
