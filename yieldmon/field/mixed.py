@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .groups import by_time
-from .plane import Sites
+from .plane import places_m
 from .table import Array, HarvestTable, Label
 
 FASTEST_M_S, BESIDE_M = 5.0, 5.0
@@ -100,13 +100,11 @@ def apart(table: HarvestTable) -> HarvestTable:
     """The table of one source with a machine's name for each of several whose rows are mixed under one name, and a note on it."""
     if len(table.sources) != 1 or not len(table) or np.nan_to_num(table["section"]).any():
         return table
-    plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
-    x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
+    x, y = places_m(table["longitude_deg"], table["latitude_deg"])
     label, note = machine_names(table["time_s"], x, y, table.labels["machine"])
     if not note:
         return table
-    source = replace(table.sources[0], notes=(*table.sources[0].notes, note))
-    return replace(table, labels={**table.labels, "machine": label}, sources=(source,))
+    return replace(table, labels={**table.labels, "machine": label}).noting(notes=(note,))
 
 
 def machine_names(time_s: Array, x_m: Array, y_m: Array, machine: Label) -> tuple[Label, str]:
@@ -153,7 +151,7 @@ def with_note(table: HarvestTable) -> tuple[HarvestTable, bool]:
         f"rows of two machines without names are mixed: places jump back and forth {turns} times; delay, passes and, where rows "
         "have no interval of their own, mass are wrong; expected a file for each machine, or a column with its name"
     )
-    return replace(table, sources=(replace(table.sources[0], notes=(*table.sources[0].notes, note)),)), True
+    return table.noting(notes=(note,)), True
 
 
 def mixed_loads(table: HarvestTable) -> dict[int, int]:
@@ -172,8 +170,7 @@ def mixed_loads(table: HarvestTable) -> dict[int, int]:
     placed = np.isfinite(table["longitude_deg"]) & np.isfinite(table["latitude_deg"]) & np.isfinite(time)
     if placed.sum() < _LEAST_TURNS:
         return {}
-    plane = Sites.about(table["longitude_deg"], table["latitude_deg"])
-    x, y = plane.to_m(table["longitude_deg"], table["latitude_deg"])
+    x, y = places_m(table["longitude_deg"], table["latitude_deg"])
     group = table.stream * (int(load.max(initial=0)) + 1) + load
     order = by_time(time, group)
     order = order[placed[order]]

@@ -154,8 +154,13 @@ class Sites:
         return nearest if nearest.any() else None
 
 
+def places_m(longitude_deg: Array, latitude_deg: Array) -> tuple[Array, Array]:
+    """East and north of places on the planes about them, m, each of shape (n,); see Sites.to_m."""
+    return Sites.about(longitude_deg, latitude_deg).to_m(longitude_deg, latitude_deg)
+
+
 def astray(east_m: Array) -> NDArray[np.bool_]:
-    """Which places of Sites.to_m are of no site."""
+    """Which places of Sites.to_m belong to no site."""
     with np.errstate(invalid="ignore"):
         return np.asarray(east_m < -0.5 * _ASTRAY_M)
 

@@ -44,8 +44,8 @@ def per_second(table: HarvestTable) -> HarvestTable:
     for name, by in _WEIGHTS.items():
         columns[name] = _mean(table[name], np.nan_to_num(table[by]), group, count)
     note = f"{len(table)} rows {usual_s:.2g} s apart are taken together to {count} of a second"
-    source = replace(table.sources[0], notes=(*table.sources[0].notes, note))
-    return replace(table.take(last), columns=columns, sources=(source,) if len(table.sources) == 1 else table.sources)
+    found = replace(table.take(last), columns=columns)
+    return found.noting(notes=(note,)) if len(table.sources) == 1 else found
 
 
 def _usual_interval_s(table: HarvestTable) -> float:

@@ -53,5 +53,4 @@ def merge_sections(table: HarvestTable) -> HarvestTable:
         columns[name] = total_known(table[name], step, count)[place]
     columns["section"] = np.full(len(rows), np.nan)
     note = f"sections of one time have one place: {len(table)} rows are taken together to {len(rows)}"
-    source = replace(table.sources[0], notes=(*table.sources[0].notes, note))
-    return replace(table.take(rows), columns=columns, sources=(source,))
+    return replace(table.take(rows), columns=columns).noting(notes=(note,))

@@ -206,6 +206,12 @@ class HarvestTable:
         """The same table with these columns added or replaced."""
         return replace(self, columns={**self.columns, **columns})
 
+    def noting(self, *, notes: Sequence[str] = (), skipped: Sequence[Skipped] = ()) -> HarvestTable:
+        """The same table with these notes and skipped parts added to those of its first source."""
+        first, *others = self.sources
+        first = replace(first, notes=(*first.notes, *notes), skipped=(*first.skipped, *skipped))
+        return replace(self, sources=(first, *others))
+
 
 def build(
     columns: Mapping[str, Array],

@@ -20,7 +20,7 @@ import numpy as np
 
 from yieldmon.errors import InputError
 from yieldmon.field.mixed import apart
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.table import DEFAULT_FLOW_S, HarvestTable, Label, Source, build
 from yieldmon.units import KG_PER_LB, M_PER_FT, M_PER_IN
 
@@ -129,7 +129,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 def _distances_fit(table: HarvestTable) -> bool:
     """Whether the distances that rows give are those between their positions."""
-    x, y = Sites.about(table["longitude_deg"], table["latitude_deg"]).to_m(table["longitude_deg"], table["latitude_deg"])
+    x, y = places_m(table["longitude_deg"], table["latitude_deg"])
     driven, given = np.hypot(np.diff(x), np.diff(y)), table["distance_m"][1:]
     both = (driven > 0) & (given > 0)
     return not both.any() or bool(0.5 < np.median(given[both] / driven[both]) < 2.0)

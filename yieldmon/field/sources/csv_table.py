@@ -89,9 +89,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
             skipped.append(Skipped(f"sheet {brief(name)}", error.problem))
     if not tables and first is not None:
         raise first
-    table = joined(tables)
-    source = replace(table.sources[0], skipped=(*table.sources[0].skipped, *skipped))
-    return replace(table, sources=(source, *table.sources[1:]))
+    return joined(tables).noting(skipped=skipped)
 
 
 def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:

@@ -31,7 +31,7 @@ from yieldmon.data_dictionary import (
 from yieldmon.errors import InputError, brief
 from yieldmon.field.copies import without_copies
 from yieldmon.field.leaps import bridged
-from yieldmon.field.plane import Sites, astray
+from yieldmon.field.plane import astray, places_m
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
 from yieldmon.files.task_data import MAIN_FILE, SOFTWARE
 
@@ -401,7 +401,7 @@ def _steps(time_s: Array, longitude_deg: Array, latitude_deg: Array) -> tuple[Ar
     # After a pause the machine cut for one usual interval and drove as far as in the next, not for all of the pause.
     begins = (interval < 0) | (interval > longest)
     begins[0] = True
-    x, y = Sites.about(longitude_deg, latitude_deg).to_m(longitude_deg, latitude_deg)
+    x, y = places_m(longitude_deg, latitude_deg)
     x, y = bridged(np.where(astray(x), np.nan, x), y, time_s, np.zeros(len(time_s), np.intp))
     distance = np.hypot(np.diff(x, prepend=x[0]), np.diff(y, prepend=y[0]))
     found = np.isfinite(x) & ~np.isfinite(np.append(np.nan, x[:-1]))

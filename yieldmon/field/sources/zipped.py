@@ -51,8 +51,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
         reasons = "; ".join(f"{one.part}: {one.why}" for one in skipped[:3]) or "it is empty"
         raise InputError(str(path), f"holds no harvest ({reasons})", f"a {'folder' if path.is_dir() else 'zip'} with one")
     table = joined([_named(table, f"{path}: {name}") for name, table in tables])
-    first = replace(table.sources[0], skipped=(*table.sources[0].skipped, *skipped))
-    return replace(table, sources=(first, *table.sources[1:]))
+    return table.noting(skipped=skipped)
 
 
 def _named(table: HarvestTable, path: str) -> HarvestTable:

@@ -10,7 +10,7 @@ import numpy as np
 from yieldmon.errors import InputError
 from yieldmon.field.crop_figures import crop as known_crop
 from yieldmon.field.mixed import machine_names
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.repeated_hour import counted_on
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import LABELS, REQUIRED, Array, HarvestTable, Label, Source, build
@@ -150,8 +150,7 @@ def _machines_apart(raw: Raw, values: Mapping[str, Array], clock: ColumnTimes) -
     column = raw.columns.get("machine")
     label = None if column is None else raw.texts.get(column.name)
     places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
-    plane = Sites.about(places["longitude_deg"], places["latitude_deg"])
-    x_m, y_m = plane.to_m(places["longitude_deg"], places["latitude_deg"])
+    x_m, y_m = places_m(places["longitude_deg"], places["latitude_deg"])
     machine = label or Label.constant("", raw.count)
     time_s, twice = counted_on(clock.time_s, x_m, y_m, machine)
     clock = replace(clock, time_s=time_s, notes=(*clock.notes, twice), hour_again=True) if twice else clock

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.field.leaps import bridged
-from yieldmon.field.plane import Sites, astray
+from yieldmon.field.plane import astray, places_m
 from yieldmon.field.table import Array, Flags, Index
 from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
 
@@ -109,7 +109,7 @@ def _distances(values: dict[str, Array], time_s: Array, rows: _RowsBefore) -> Ar
     stream = np.cumsum(~rows.joined[order]) - 1
     x, y = np.empty(count), np.empty(count)
     longitude, latitude = values["longitude"][order], values["latitude"][order]
-    east, north = Sites.about(longitude, latitude).to_m(longitude, latitude)
+    east, north = places_m(longitude, latitude)
     x[order], y[order] = bridged(np.where(astray(east), np.nan, east), north, time_s[order], stream)
     distance = np.where(rows.steady, np.hypot(x - x[rows.before], y - y[rows.before]), np.nan)
     after = np.full(count, np.nan)

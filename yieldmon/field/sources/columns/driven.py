@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.field.groups import by_time
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.table import Array
 
 from .positions import HIGHEST_DEG, plausible
@@ -149,7 +149,7 @@ def _plane(values: dict[str, Array]) -> tuple[Array, Array]:
     """Places on a plane, m; NaN where not known."""
     places, _ = plausible({"longitude_deg": values["longitude"], "latitude_deg": values["latitude"]})
     longitude, latitude = places["longitude_deg"], places["latitude_deg"]
-    return Sites.about(longitude, latitude).to_m(longitude, latitude)
+    return places_m(longitude, latitude)
 
 
 def _steps(raw: Raw, time_s: Array) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.table import Array, Skipped
 
 from .driven import LEAST_M
@@ -64,7 +64,7 @@ def _are_parts(values: dict[str, Array], time_s: Array, kept: np.ndarray) -> boo
     """Whether the kept rows' own intervals or distances are too short for what lies between them."""
     order = np.flatnonzero(kept)[np.argsort(time_s[kept], kind="stable")]
     longitude, latitude = values["longitude"][order], values["latitude"][order]
-    x, y = Sites.about(longitude, latitude).to_m(longitude, latitude)
+    x, y = places_m(longitude, latitude)
     steps = {"interval": np.diff(time_s[order]), "distance": np.hypot(np.diff(x), np.diff(y))}
     for quantity, step in steps.items():
         if quantity not in values:

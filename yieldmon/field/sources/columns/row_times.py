@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from yieldmon.errors import InputError
 from yieldmon.field.date_order import DateOrder
 from yieldmon.field.groups import first_rows
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import Array, Label
 from yieldmon.field.units import FACTORS, factor, plain_unit
@@ -154,8 +154,7 @@ def _of_machines(raw: Raw) -> list[NDArray[np.intp]]:
 def _apart_m(values: Mapping[str, Array], rows: NDArray[np.intp] | slice = slice(None)) -> Array:
     """From each of these rows to the one before it."""
     longitude, latitude = values["longitude"][rows], values["latitude"][rows]
-    plane = Sites.about(longitude, latitude)
-    x, y = plane.to_m(longitude, latitude)
+    x, y = places_m(longitude, latitude)
     return np.hypot(np.diff(x, prepend=np.nan), np.diff(y, prepend=np.nan))
 
 

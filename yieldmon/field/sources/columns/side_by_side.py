@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yieldmon.field.groups import step_begins
-from yieldmon.field.plane import Sites
+from yieldmon.field.plane import places_m
 from yieldmon.field.table import Array
 
 _LEAST_SHARE = 0.5
@@ -66,7 +66,7 @@ def numbered(longitude: Array, latitude: Array, width_m: Array, time_s: Array, m
     sizes = np.diff(begins)
     if sizes[sizes > 1].sum() < _LEAST_SHARE * len(order):
         return None
-    x, y = Sites.about(longitude, latitude).to_m(longitude, latitude)
+    x, y = places_m(longitude, latitude)
     groups = [order[begin:end] for begin, end in zip(begins[:-1].tolist(), begins[1:].tolist(), strict=True)]
     if not _are_beside(groups, x, y, width_m):
         return None
