@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from yieldmon.cli._daemon import mass
+from yieldmon.cli._typed_mass import mass
 from yieldmon.cli.main import main
 
 STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"

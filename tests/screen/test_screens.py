@@ -19,7 +19,7 @@ from rich.console import Console
 from tests.screen.screens import CODEC, KEPT, MANY_FAULTS, SCREENS, STATUS, US, drawn, traffic
 from yieldmon import frames
 from yieldmon.bus.log_files.log_writing import writing
-from yieldmon.cli._daemon import mass
+from yieldmon.cli._typed_mass import mass
 from yieldmon.files.crops import crops, shipped_name
 from yieldmon.frames import Frame
 from yieldmon.screen import values

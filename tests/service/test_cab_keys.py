@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.service.bench import Bench, running, wait_for
-from yieldmon.cli._daemon import mass
 from yieldmon.cli._monitor.daemon_link import DaemonLink, aged
+from yieldmon.cli._typed_mass import mass
 from yieldmon.files.crops import crops, shipped_name
 from yieldmon.screen.dialog import Dialog
 from yieldmon.service.operator.control import ControlServer

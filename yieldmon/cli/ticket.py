@@ -13,9 +13,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from yieldmon.cli._answers import ticket_undone, tickets_replaced
-from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon, in_thousands, mass
+from yieldmon.cli._daemon import add_daemon_arguments, ask_daemon
 from yieldmon.cli._json import print_json
 from yieldmon.cli._records import load_numbers, show, undone_at, when
+from yieldmon.cli._typed_mass import in_thousands, mass
 from yieldmon.cli._units import add_units
 from yieldmon.errors import InputError
 from yieldmon.files.units import units_of

@@ -7,8 +7,8 @@ import time
 
 from rich.console import RenderableType
 
-from yieldmon.cli._daemon import mass
 from yieldmon.cli._monitor.daemon_link import PATIENCE_S, DaemonLink, Status, aged
+from yieldmon.cli._typed_mass import mass
 from yieldmon.files.units import units_of
 from yieldmon.screen import keys
 from yieldmon.screen.cab import NO_MONITOR, WAITS, Cab, from_frames
