@@ -7,23 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _notes, _provenance, model_options
+from yieldmon.cli import _by_loads, _calibrate_options, _notes, _provenance, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta
 from yieldmon.estimation.weighing.flow_curve_fit import CurveFit, fit_loads, fit_table
 from yieldmon.files import flow_curve_file, table, whole_file
 
-_OF_THE_PHYSICS = (
-    "robust", "by_moisture", "compare", "identifiability", "profiles", "free", "fix", "bounds", "impact", "effects", "prior",
-)  # fmt: skip
-
 
 def run(args: argparse.Namespace) -> CurveCalibrationDocument:
     """Fit and write; the report as plain data. Raises InputError."""
-    for name in _OF_THE_PHYSICS:
-        if getattr(args, name) not in (None, False, "", []):
-            raise InputError(f"--{name.replace('_', '-')}", "applies to the physical model only", "none with --estimator")
+    physical = (*_calibrate_options.PHYSICAL_MODEL, "prior")
+    _calibrate_options.refuse(args, physical, "applies to the physical model only", "none with --estimator")
     if args.out is not None:
         whole_file.check_place(args.out)
     found, facts = _of_loads(args) if args.loads is not None else _of_table(args)

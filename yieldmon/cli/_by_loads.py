@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _notes, _provenance
+from yieldmon.cli import _calibrate_options, _named_files, _notes, _provenance
 from yieldmon.documents.calibrate import CalibratedParameter, LoadCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting.calibration_result import CONFIDENCE
@@ -31,25 +31,11 @@ if TYPE_CHECKING:
 
 _SAME_MACHINE = 0.05
 """Relative difference within which masses may be those of a geometry."""
-_TABLE_ONLY = (
-    "robust",
-    "by_moisture",
-    "compare",
-    "identifiability",
-    "profiles",
-    "free",
-    "fix",
-    "bounds",
-    "impact",
-    "effects",
-    "response_scale",
-    "plate_angle",
-)
 
 
 def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     """The report as plain data. Raises InputError."""
-    refuse_others(args, "--loads")
+    _calibrate_options.refuse_table_options(args, "--loads")
     from yieldmon.service.logs import weighed_loads
 
     configured, measured, loads = _measured(args)
@@ -73,19 +59,6 @@ def run(args: argparse.Namespace) -> LoadCalibrationDocument:
     return document
 
 
-def refuse_others(args: argparse.Namespace, option: str) -> None:
-    """Raises InputError for an option that goes with a table alone."""
-    for name in _TABLE_ONLY:
-        if getattr(args, name) not in (None, False, "", []):
-            raise InputError(f"--{name.replace('_', '-')}", "applies to a table of a test facility only", f"none with {option}")
-
-
-def refuse_table(args: argparse.Namespace, option: str) -> None:
-    """Raises InputError for a table of a test facility."""
-    if args.data is not None:
-        raise InputError(args.data, f"is given together with {option}", "either a table of a test facility or weighed loads")
-
-
 def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad, ...]]:
     """The weighed loads that the arguments name, and what measured them. Raises InputError."""
     configured, _, loads = _measured(args)
@@ -95,7 +68,7 @@ def matched(args: argparse.Namespace) -> tuple[Configuration, tuple[WeighedLoad,
 def _measured(args: argparse.Namespace) -> tuple[Configuration, tuple[MeasuredLoad, ...], tuple[WeighedLoad, ...]]:
     if args.tickets is None:
         raise InputError("--tickets", "is missing", "a table with the columns load and weighed_kg, with --loads")
-    refuse_table(args, "--loads")
+    _calibrate_options.refuse_table(args, "--loads")
     from yieldmon.service.logs import (  # The daemon's own modules, which a table of a test facility does not need.
         measured_loads,
         weighed_loads,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from yieldmon.cli import _by_loads
+from yieldmon.cli import _by_loads, _calibrate_options
 from yieldmon.documents.calibrate import PulseShapeDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.waveform.machine_shape import MachineShape, calibrate_machine_shape
@@ -17,8 +17,8 @@ from yieldmon.physics.machine import RPM
 
 def run(args: argparse.Namespace) -> PulseShapeDocument:
     """Fit and write; the report as plain data. Raises InputError."""
-    _by_loads.refuse_others(args, "--pulse-shape")
-    _by_loads.refuse_table(args, "--pulse-shape")
+    _calibrate_options.refuse_table_options(args, "--pulse-shape")
+    _calibrate_options.refuse_table(args, "--pulse-shape")
     if args.estimator is not None:
         raise InputError("--estimator", "fits a curve", "either --estimator or --pulse-shape")
     if args.loads is None or args.tickets is None:

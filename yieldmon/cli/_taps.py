@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from typing import TYPE_CHECKING
 
-from yieldmon.cli import _by_loads
+from yieldmon.cli import _by_loads, _calibrate_options
 from yieldmon.documents.calibrate import TapDocument
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, strict_yaml, whole_file
@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
 def run(args: argparse.Namespace) -> TapDocument:
     """Fit and write; the report as plain data. Raises InputError."""
-    _by_loads.refuse_others(args, "--taps")
-    _by_loads.refuse_table(args, "--taps")
-    for name in ("loads", "tickets", "estimator", "pulse_shape", "prior"):
-        if getattr(args, name) not in (None, False):
-            raise InputError(f"--{name.replace('_', '-')}", "is given together with --taps", "logs of taps alone")
+    _calibrate_options.refuse_table_options(args, "--taps")
+    _calibrate_options.refuse_table(args, "--taps")
+    others = ("loads", "tickets", "estimator", "pulse_shape", "prior")
+    _calibrate_options.refuse(args, others, "is given together with --taps", "logs of taps alone")
     if args.out is not None:
         whole_file.check_place(args.out)
     # The daemon's own modules and scipy's statistics, which a table of a test facility does not need.
