@@ -298,7 +298,7 @@ def test_a_crop_begins_with_the_scale_of_one_that_was_weighed(scale: str, from_c
     assert carried_from(load(monitor, journal, "wheat")) == from_crop
     in_use = monitor.estimator.parameters
     assert (in_use.carried_from, in_use.scale_error, in_use.provenance["crop"]) == (from_crop, error, "wheat")
-    said = [row["what"] for row in journal.parameters.table()]
+    said = [row["what"] for row in journal.parameters.table(in_use, journal.crop)]
     assert ("wheat begins with the scale of corn" in said) is bool(from_crop)
     assert carried_from(load(monitor, journal, "corn")) == ""
 

@@ -85,7 +85,7 @@ def test_what_followed_on_an_undone_version_is_undone_with_it() -> None:
     assert found.values["density"] == 800.0
     with pytest.raises(InputError, match="version 3: is undone already"):
         run.undo(3, found)
-    states = {row["version"]: row["state"] for row in run.history.table()}
+    states = {row["version"]: row["state"] for row in run.history.table(found, run.crop)}
     assert states == {1: "", 2: "undone", 3: "undone", 4: "in use"}
 
 
@@ -99,8 +99,31 @@ def test_what_another_crop_learnt_since_is_not_undone() -> None:
     run.history.use(learnt, "ticket", tickets=[5])
     run.crop = "wheat"
     run.undo(2, learnt)
-    assert {row["version"]: row["state"] for row in run.history.table() if row["state"] == "undone"} == {2: "undone"}
+    table = run.history.table(learnt, run.crop)
+    assert {row["version"]: row["state"] for row in table if row["state"] == "undone"} == {2: "undone"}
     assert run.undo(5, run.history.change_crop("wheat", learnt, "wheat") or learnt)[0].values == wheat.values
+
+
+def test_each_version_is_listed_with_its_crop() -> None:
+    run = Run()
+    run.learns(1, 800.0, "file")
+    corn = run.learns(2, 850.0, "ticket")
+    assert [row["crop"] for row in run.history.table(corn, "")] == ["", ""]
+    wheat = run.history.change_crop("wheat", corn, "corn")
+    assert wheat is not None
+    learnt = replace(wheat, version=5)
+    run.history.use(learnt, "ticket", tickets=[5])
+    run.log.add("zero", "anna", {"second": 1, "signs": ""})
+    assert [(row["version"], row["crop"]) for row in run.history.table(learnt, "wheat")] == [
+        (1, "corn"), (2, "corn"), (3, "corn"), (4, "wheat"), (5, "wheat"), (None, ""),
+    ]  # fmt: skip
+
+
+def test_of_versions_that_are_no_longer_kept_no_crop_is_known() -> None:
+    run = Run(crop="corn")
+    for version in range(1, KEPT_VERSIONS + 3):
+        last = run.learns(version, 800.0)
+    assert [row["crop"] for row in run.history.table(last, run.crop)] == ["", "", *["corn"] * KEPT_VERSIONS]
 
 
 def changed_crop(run: Run) -> ParameterSet:

@@ -12,7 +12,8 @@ CalibrationState = Literal["in use", "undone", ""]
 
 class CalibrationRow(TypedDict):
     """A change of parameters, or an operator's zero, which has no version. time_s: Unix time; who: the user, "" for the monitor
-    itself; origin: what brought it; what: the reason; state: "in use", "undone" or ""."""
+    itself; origin: what brought it; what: the reason; state: "in use", "undone" or ""; crop: whose parameters they are, "" where
+    nothing says so."""
 
     kind: Literal["parameters", "zero"]
     version: int | None
@@ -22,6 +23,7 @@ class CalibrationRow(TypedDict):
     what: str
     effects: list[str]
     state: CalibrationState
+    crop: str
 
 
 class Calibrations(TypedDict):

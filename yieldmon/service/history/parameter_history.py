@@ -321,9 +321,13 @@ class ParameterHistory:
         self._in_use = (parameters, origin)
         self._new.append(self._in_use)
 
-    def table(self) -> list[CalibrationRow]:
-        """All changes of parameters and zeros by an operator, with who and when."""
-        return ledgers.calibration_rows(self._actions, self.version)
+    def table(self, in_use: ParameterSet, named: str) -> list[CalibrationRow]:
+        """All changes of parameters and zeros by an operator, with who and when. named: the crop that an operator named last."""
+
+        def crop_of(version: int) -> str:
+            return self.crop_of_version(version, in_use, named) if version in self._versions else ""
+
+        return ledgers.calibration_rows(self._actions, self.version, crop_of)
 
     def take(self, time_s: float) -> tuple[tuple[ParameterVersion, ...], tuple[Step, ...]]:
         """Versions and steps that no batch has brought yet; they count as brought. time_s: Unix time."""

@@ -208,7 +208,8 @@ def _ticket_undo(order: Order) -> TicketUndone:
 
 
 def _calibrations(order: Order) -> Calibrations:
-    return {"calibrations": order.journal.parameters.table()}
+    journal = order.journal
+    return {"calibrations": journal.parameters.table(order.monitor.estimator.parameters, journal.crop)}
 
 
 def _calibration_undo(order: Order) -> CalibrationUndone:

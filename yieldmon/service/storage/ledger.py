@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import hypot
@@ -316,8 +316,11 @@ def updated_by(actions: Iterable[Action]) -> dict[int, tuple[int, ...]]:
     return found
 
 
-def calibration_rows(actions: Iterable[Action], in_use: int) -> list[CalibrationRow]:
-    """Each change of parameters and each operator's zero, with who and when, and whether it stands."""
+def calibration_rows(actions: Iterable[Action], in_use: int, crop_of: Callable[[int], str]) -> list[CalibrationRow]:
+    """Each change of parameters and each operator's zero, with who and when, and whether it stands.
+
+    crop_of: whose parameters a version is, "" where nothing says so.
+    """
     known = list(actions)
     undone = undone_versions(known)
     undone_zeros = {int(a.document["action"]) for a in known if a.kind == ZERO_UNDO}
@@ -332,13 +335,13 @@ def calibration_rows(actions: Iterable[Action], in_use: int) -> list[Calibration
             rows.append({
                 "kind": "parameters", "version": version, "time_s": action.time_s, "who": action.who,
                 "origin": document.get("origin", ""), "what": document.get("reason", ""), "effects": document.get("effects", []),
-                "state": state,
+                "state": state, "crop": crop_of(version),
             })  # fmt: skip
         elif action.kind == ZERO:
             what = "zero calibration" + (f", forced although {document['signs']}" if document.get("signs") else "")
             state = "undone" if document.get("second") in back else ""
             rows.append({
                 "kind": "zero", "version": None, "time_s": action.time_s, "who": action.who, "origin": "operator", "what": what,
-                "effects": [], "state": state,
+                "effects": [], "state": state, "crop": "",
             })  # fmt: skip
     return rows
