@@ -509,6 +509,22 @@ def test_a_daemon_that_ends_and_comes_back(browser: Browser, tmp_path: Path) -> 
             watched.wait(f"{TEXT}.includes('harvesting') && !document.body.classList.contains('stale')")
 
 
+def test_on_a_phone_that_shows_the_map_a_daemon_that_ends_is_told(browser: Browser, tmp_path: Path) -> None:
+    """The page is longer than a phone, and the word stood above what was shown."""
+    seen = "(() => { const box = document.getElementById('state').getBoundingClientRect();"
+    seen += " return box.top >= 0 && box.bottom <= innerHeight && document.elementFromPoint(box.right - 2, box.top + 2).id; })()"
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(20)
+        with page(daemon.socket) as site, Watched(browser, {"width": 390, "height": 844}) as watched:
+            watched.page.goto(site)
+            watched.wait(f"{TEXT}.includes('harvesting')")
+            watched.evaluate("window.scrollTo(0, document.documentElement.scrollHeight)")
+            watched.wait("scrollY > 100")
+            daemon.stop()
+            watched.wait(f"{TEXT}.includes('no daemon answers')")
+            assert watched.evaluate(seen) == "state"
+
+
 def test_a_ticket_without_a_connection_is_told_in_words(browser: Browser, daemon: StandIn, site: str) -> None:
     with Watched(browser) as watched:
         watched.page.goto(site)
