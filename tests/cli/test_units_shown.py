@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -50,12 +51,19 @@ def test_process_knows_area_and_yield(folder: Path, capsys: pytest.CaptureFixtur
     found = json.loads(capsys.readouterr().out)
     assert found["area_m2"] == pytest.approx(WIDTH_M * SPEED_KM_H / 3.6 * HARVEST_S, rel=0.06)
     assert found["mass_of_unknown_area_kg"] == 0.0
+    with (folder / "d.csv").open(newline="") as table:
+        last = list(csv.DictReader(table))[-1]
+    assert found["total_std_dev_kg"] == pytest.approx(float(last["total_std_dev_kg"])) != 0.0
     assert found["yield_kg_m2"] == pytest.approx(found["total_mass_kg"] / found["area_m2"])
     assert found["yield_kg_m2"] == pytest.approx(FLOW_KG_S / (WIDTH_M * SPEED_KM_H / 3.6), rel=0.1)
 
 
 @pytest.mark.parametrize(
-    ("options", "units"), [([], (" lb ", " ac, ", " lb/ac")), (["--units", "metric"], (" kg ", " ha, ", " t/ha"))]
+    ("options", "units"),
+    [
+        ([], (" lb ± ", " lb (", " ac, ", " lb/ac")),
+        (["--units", "metric"], (" kg ± ", " kg (", " ha, ", " t/ha")),
+    ],
 )
 def test_process_says_it_in_the_units_asked_for(
     folder: Path, options: list[str], units: tuple[str, ...], capsys: pytest.CaptureFixture[str]

@@ -15,6 +15,8 @@ _MOSTLY = 0.5
 def summary_line(document: ProcessSummary, units: Units) -> str:
     """What `process` says of a record on standard error."""
     line = f"{document['frames']} frames, {document['windows']} s, {units.mass_with_bushels(document['total_mass_kg'])}"
+    if document["total_std_dev_kg"] is not None and document["total_mass_kg"] > 0.0:
+        line += f" ± {units.mass(document['total_std_dev_kg'])}"
     if document["dry_mass_kg"] is not None and document["total_mass_kg"] > 0.0:
         line += f" ({units.mass_with_bushels(document['dry_mass_kg'])} dry)"
     if document["area_m2"] is not None:

@@ -60,6 +60,7 @@ class ProcessSummary(Harvested):
     messages_incomplete: int
     windows: int
     total_mass_kg: float
+    total_std_dev_kg: Number
     dry_mass_kg: Number
     faults: dict[str, int]
     damages: list[str]

@@ -11,6 +11,7 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result
 from yieldmon.engine.sampling.zero import ZeroState
+from yieldmon.finite import finite
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.logs.bulk_processing import EndOfLog, Stretch, process_in_bulk
@@ -85,6 +86,7 @@ def document(summary: Summary, monitor: Monitor) -> ProcessSummary:
         "messages_incomplete": summary.incomplete,
         "windows": summary.windows,
         "total_mass_kg": totals.total_kg,
+        "total_std_dev_kg": finite(totals.total_budget.std_dev_kg),
         "dry_mass_kg": totals.known_total_dry_kg,
         "area_m2": land["area_m2"],
         "mass_of_unknown_area_kg": land["mass_of_unknown_area_kg"],
