@@ -76,6 +76,36 @@ def test_no_area_is_known_once_grain_comes_long_after_the_header_went_up(delay_s
     assert areas[int(delay_s) :] == [0.0] * (200 - int(delay_s))
 
 
+NO_WIDTH = "the machine file states no implement.working_width_m"
+CONTRADICTED = "grain comes although header or drives are reported not to cut"
+START = "grain comes 12 s after it is cut, and what came before the start is not known"
+CUTTING = {"ground_speed": SPEED_M_S, "header_down": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("implement", "reported", "expected"),
+    [
+        (Implement(), [CUTTING], [NO_WIDTH]),
+        (Implement(), [{"ground_speed": 0.0}], [NO_WIDTH]),
+        (Implement(working_width_m=WIDTH_M), [CUTTING, {}, CUTTING], ["", "no ground speed is received", ""]),
+        (Implement(working_width_m=WIDTH_M, grain_delay_s=12.0), [CUTTING] * 13, [START] * 12 + [""]),
+        (
+            Implement(working_width_m=WIDTH_M),
+            [{"ground_speed": SPEED_M_S, "header_down": 0.0}] * 200,
+            [""] * int(GateSettings().emptying_s + 1) + [CONTRADICTED] * int(199 - GateSettings().emptying_s),
+        ),
+    ],
+    ids=["no width", "no width, standing", "no speed", "start", "header inverted"],
+)
+def test_why_no_area_is_known(implement: Implement, reported: list[dict[str, float]], expected: list[str]) -> None:
+    counter, inputs = AreaCounter(implement, GateSettings()), Inputs(InputSettings())
+    for second, (values, why) in enumerate(zip(reported, expected, strict=True), 1):
+        for name in ("ground_speed", "header_down"):
+            inputs.held[name].set(float(second), values.get(name, nan))
+        area_m2 = counter.second(float(second), 1.0, inputs.snapshot(float(second)), grain_comes=True)
+        assert (second, counter.unknown_because, isnan(area_m2)) == (second, why, bool(why))
+
+
 LEAST_M_S = GateSettings().min_ground_speed_m_s
 
 

@@ -87,6 +87,8 @@ def _facts(status: Status, units: Units) -> Iterator[tuple[str, str]]:
         yield "zero", f"waits for {units.in_text(status['zero_waits_for'])}"
     yield "now", _now(status["now"], units)
     yield from _load(status["load"], status["crop"], units)
+    if (why := status["now"].get("area_missing_because")) is not None:
+        yield "", f"no area and no yield now: {why}"
     if corrected := _corrected(status, units):
         yield "", corrected
     if _grain_without_load(status):

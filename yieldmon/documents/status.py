@@ -17,12 +17,13 @@ class StatusCrop(TypedDict):
 
 
 class StatusNow(TypedDict):
-    """What a driver looks at: the last second, and the yield of the last seconds."""
+    """What a driver looks at: the last second, the yield of the last seconds, and why no area is known of the last one."""
 
     mass_flow_kg_s: Number
     std_dev_kg_s: Number
     quality: str | None
     yield_kg_m2: Number
+    area_missing_because: str | None
     moisture_pct: Number
     ground_speed_m_s: Number
     plate_angle_deg: Number

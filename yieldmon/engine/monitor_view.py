@@ -102,6 +102,11 @@ class MonitorView:
         return self._parts.measurement.zero_waits_for
 
     @property
+    def area_unknown_because(self) -> str:
+        """Why no area is known of the last second's grain; "" where one is."""
+        return self._parts.area.unknown_because
+
+    @property
     def signs_of_grain(self) -> str:
         """Signs of grain, against which the zero should not be calibrated now; "" where there are none."""
         return self._parts.measurement.signs_of_grain

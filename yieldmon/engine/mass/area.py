@@ -40,6 +40,8 @@ class AreaCounter:
         self._up_since_s = self._grain_since_s = inf
         self._contradicted = False
         self._cuts: deque[_Cut] = deque()
+        self.unknown_because = ""
+        """Why no area is known of the last second's grain; "" where one is."""
 
     def second(self, end_s: float, duration_s: float, inputs: InputSnapshot, *, grain_comes: bool) -> float:
         """Area that belongs to the grain of a second, m2; nan where width or ground speed was not known, or the grain contradicts
@@ -60,9 +62,19 @@ class AreaCounter:
         while len(self._cuts) > 1 and self._cuts[1].end_s <= end_s - self._delay_s:
             self._cuts.popleft()
         cut = self._cuts[0]
-        if cut.end_s > end_s - self._delay_s or self._contradicted:
+        self.unknown_because = self._why_unknown(cut, end_s)
+        if self.unknown_because:
             return nan
-        return cut.rate_m2_s * duration_s if cut.by_header or grain_comes or not isfinite(cut.rate_m2_s) else 0.0
+        return cut.rate_m2_s * duration_s if cut.by_header or grain_comes else 0.0
+
+    def _why_unknown(self, cut: _Cut, end_s: float) -> str:
+        if self._width_m is None:
+            return "the machine file states no implement.working_width_m"
+        if self._contradicted:
+            return "grain comes although header or drives are reported not to cut"
+        if cut.end_s > end_s - self._delay_s:
+            return f"grain comes {self._delay_s:g} s after it is cut, and what came before the start is not known"
+        return "" if isfinite(cut.rate_m2_s) else "no ground speed is received"
 
     def _compare(self, end_s: float, *, idle: bool, grain_comes: bool) -> None:
         """Compare header and drives with the grain."""

@@ -72,7 +72,7 @@ def snapshot(
         "state": (record.operating_state if record is not None else OperatingState.STARTING).name.lower(),
         "units": configuration.document.units,
         "crop": _crop(journal.crop_in_use(parameters), totals.market_moisture_pct),
-        "now": _now(rows),
+        "now": _now(rows, monitor.area_unknown_because),
         "configuration": {
             "file": str(configuration.path),
             "reload": reload_note,
@@ -108,7 +108,7 @@ def _crop(name: str, market_moisture_pct: float) -> StatusCrop:
     }  # fmt: skip
 
 
-def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
+def _now(rows: tuple[SecondRow, ...], area_unknown_because: str) -> StatusNow:
     """What a driver looks at: the last second's flow, moisture and speed, and the yield of the last seconds."""
     last = rows[-1] if rows else None
     placed = [row for row in rows if row.area_m2 is not None]
@@ -118,6 +118,7 @@ def _now(rows: tuple[SecondRow, ...]) -> StatusNow:
         "std_dev_kg_s": last.std_dev_kg_s if last is not None else None,
         "quality": EstimateQuality(last.quality).name.lower() if last is not None else None,
         "yield_kg_m2": crop_yield_kg_m2(sum(row.mass_kg for row in placed), area_m2) if len(placed) == len(rows) else None,
+        "area_missing_because": area_unknown_because or None,
         "moisture_pct": last.moisture_pct if last is not None else None,
         "ground_speed_m_s": last.ground_speed_m_s if last is not None else None,
         "plate_angle_deg": last.plate_angle_deg if last is not None else None,
