@@ -65,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     rows = (
         (
-            "-" if row["version"] is None else str(row["version"]), row["kind"], row.get("crop") or "-", when(row["time_s"]), row["who"] or "-",
-            row["origin"] or "-", ", ".join(row["effects"]) or "-", row["state"] or "-", row["what"] or "-",
+            "-" if row["version"] is None else str(row["version"]), row["kind"], row.get("crop") or "-",
+            when(row["time_s"]), row["who"] or "-", row["origin"] or "-",
+            ", ".join(row["effects"]) or "-", row["state"] or "-", row["what"] or "-",
         )
         for row in answer["calibrations"][-_SHOWN:]
     )  # fmt: skip
