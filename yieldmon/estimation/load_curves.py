@@ -46,16 +46,15 @@ class LoadCurves:
         return np.asarray(found)
 
     def _table_of(self, keys: NDArray[np.int64]) -> Array:
-        unique, place = np.unique(keys, return_inverse=True)
+        wanted = keys.ravel().tolist()
         places, table = self._known
         if len(places) > _MOST:
             places, table = {}, np.empty((0, 0))
-        new = [key for key in unique.tolist() if key not in places]
+        new = sorted({key for key in wanted if key not in places})
         if new:
             angle, speed = np.divmod(np.array(new) + _SPEEDS // 2, _SPEEDS)
             made = self._curve(angle * _ANGLE_RAD, np.exp((speed - _SPEEDS // 2) * _LN_SPEED))
             places = places | {key: len(places) + i for i, key in enumerate(new)}
             table = np.concatenate((table, made)) if table.size else made
             self._known = places, table
-        rows = np.array([places[key] for key in unique.tolist()])
-        return np.asarray(table[rows[place.reshape(keys.shape)]])
+        return np.asarray(table[np.array([places[key] for key in wanted]).reshape(keys.shape)])

@@ -6,10 +6,11 @@ a machine that was never calibrated, is fitted together with the loads before it
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.load_pattern import EFFECT as LOAD_PATTERN
@@ -20,12 +21,13 @@ from yieldmon.estimation.self_calibration.closed_loop_inputs import WeighedMass
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome, ScaleReport
 from yieldmon.estimation.self_calibration.steady_drift import DriftingParameters
 from yieldmon.estimation.weighing.density_and_gain import in_form_of, widened
-from yieldmon.estimation.weighing.load_departures import departure, departures, errors_of, spread
+from yieldmon.estimation.weighing.load_departures import departures, errors_of, spread
 from yieldmon.estimation.weighing.load_inputs import LoadSettings, WeighedLoad
 from yieldmon.estimation.weighing.load_outcome import LIKELY_ANOTHER, LoadCalibration, curve_sentence, wrong_ticket_sentence
 from yieldmon.estimation.weighing.loads import calibrate_loads
 from yieldmon.physics.effects.other_monitor import BIAS
 from yieldmon.physics.model import ForwardModel
+from yieldmon.physics.numerics import Array
 
 _DRIFT_WIDENING = 16.0
 """Largest widening of the parameters' covariance for which the deviation of a later ticket is drift, not another scale."""
@@ -72,27 +74,22 @@ class LoadUpdate:
         doubtful = 1.0 if len(counted) <= len(masses) else _DRIFT_WIDENING
         near = outcome.consistent and outcome.prior_widening <= doubtful and self._is_drift(outcome.prior_widening, prior, names)
         near = near and not prior.carried_from and self._without_curve(prior) is prior
-        by_prior = [departure(self.model, prior, load, self.load_settings) for load in self._of(names)] if near else []
-        # On a machine that was never calibrated only the loads together determine the scale and how far the force follows the
-        # model's curve.
-        near = near and all(std_dev < _KNOWN_SCALE for _, std_dev in by_prior)
-        before = [error for error, _ in by_prior]
-        earlier = [load for load in counted if load.name not in names]
-        if near and not self._leaves(earlier, prior, outcome.parameter_set):
-            return self._with_change_of_scale(outcome, before, names), drifting
+        beside_prior, follows = self._near(outcome, prior, names) if near else (None, False)
+        if beside_prior is not None and follows:
+            return beside_prior, drifting
         # Outside the prior's standard deviations, or so far that its linearisation about the earlier loads no longer holds:
         # only the loads together determine the scale.
         try:
-            in_prior = [load.name for load in earlier]
+            in_prior = [load.name for load in counted if load.name not in names]
             found = calibrate_loads(
                 self.model, self._without_curve(prior), counted, settings=self.load_settings, in_prior=in_prior
             )
         except ValueError:
-            if near:
-                return self._with_change_of_scale(outcome, before, names), drifting
+            if beside_prior is not None:
+                return beside_prior, drifting
             raise
-        if near and (found.refused or found.contradiction is not None) and not _is_another(found):
-            return self._with_change_of_scale(outcome, before, names), drifting
+        if beside_prior is not None and (found.refused or found.contradiction is not None) and not _is_another(found):
+            return beside_prior, drifting
         outcome = Outcome.unchanged(_in_order_of(prior, found.parameter_set))
         scale = ScaleReport(
             found.scale_sd, found.scale_sd, float(np.log(found.scale)), observable=True, unobservable_directions=()
@@ -114,28 +111,48 @@ class LoadUpdate:
         joint[: len(names), : len(names)] = wide.covariance_of(names)
         return replace(drifting, parameters=replace(prior, covariance=wide.covariance_of(names)), joint=joint)
 
-    def _with_change_of_scale(self, outcome: Outcome, before: Sequence[float], names: Container[str]) -> Outcome:
-        """The outcome whose reason says by how much its parameters change the mass of the loads of these names; before: relative
-        error of each by the prior."""
-        if not outcome.updated:
-            return outcome
-        moved = self._moved(outcome.parameter_set, before, names)
-        if not np.isfinite(moved):
-            return outcome
-        return replace(outcome, reason=f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}")
+    def _near(self, outcome: Outcome, prior: ParameterSet, names: Container[str]) -> tuple[Outcome | None, bool]:
+        """The outcome of an update near the prior, saying by how much it changed the mass of these loads; and whether
+        it changes the earlier loads by less than the uncertainty of the prior, drift included.
 
-    def _moved(self, now: ParameterSet, before: Sequence[float], names: Container[str]) -> float:
-        """Relative change of the mass of the loads of these names by the parameters; nan for no load. before: as above."""
-        errors = [float(errors_of(self.model, now, [load])[0]) for load in self._of(names)]
-        each = np.log1p([before, errors])
-        return float(np.expm1(np.mean(each[1] - each[0]))) if errors else np.nan
+        None where the prior does not determine the machine's scale: on one that was never calibrated only the loads together
+        determine the scale and how far the force follows the model's curve.
+        """
+        if not self.counted:
+            return outcome, True
+        new = self._are(names)
+        before, std_dev = self._departures(prior)
+        if not np.all(std_dev[new] < _KNOWN_SCALE):
+            return None, False
+        after = self._errors(outcome.parameter_set)
+        follows = np.abs(after - before)[~new] < self.load_settings.outlier_sds * std_dev[~new]
+        moved = _moved(before[new], after[new])
+        if outcome.updated and np.isfinite(moved):
+            said = f"weighed loads moved the scale by {100.0 * moved:+.1f} %; {outcome.reason}"
+            outcome = replace(outcome, reason=said)
+        return outcome, bool(np.all(follows))
+
+    def _departures(self, known: ParameterSet) -> Array:
+        """Relative error of each counted load's mass by these parameters, drift included, and its standard deviation, (2, n)."""
+        return self._of_each(lambda loads: np.stack(departures(self.model, known, loads, self.load_settings)))
+
+    def _errors(self, known: ParameterSet) -> Array:
+        """The errors of `_departures`, (n,)."""
+        return self._of_each(lambda loads: errors_of(self.model, known, loads, self.load_settings))
+
+    def _of_each(self, figure: Callable[[Sequence[WeighedLoad]], Array]) -> Array:
+        """Figures (..., n) of the counted loads, in their order; those with moisture and those without are worked out apart."""
+        with_moisture = np.array([load.moisture_pct is not None for load in self.counted], dtype=bool)
+        parts = [np.flatnonzero(which) for which in (with_moisture, ~with_moisture) if which.any()]
+        found = np.concatenate([figure([self.counted[int(place)] for place in part]) for part in parts], axis=-1)
+        return np.asarray(found[..., np.argsort(np.concatenate(parts))])
 
     def _reason(self, found: LoadCalibration, prior: ParameterSet, names: Container[str]) -> str:
         """The sentence for the operator on a calibration by all weighed loads; those of these names are new. prior: until now."""
         if found.refused:
             return " ".join(found.sentences)
-        before = [float(errors_of(self.model, prior, [load])[0]) for load in self._of(names)]
-        moved = self._moved(found.parameter_set, before, names)
+        new = self._are(names)
+        moved = _moved(*(self._errors(known)[new] for known in (prior, found.parameter_set)))
         scale = moved if np.isfinite(moved) else found.scale - 1.0
         said = (
             f"weighed loads moved the scale by {100.0 * scale:+.1f} %; a next load is expected within "
@@ -152,6 +169,10 @@ class LoadUpdate:
         spreads = (spread(self.model, prior, load, self.load_settings) for load in self._of(names))
         return all(widening**0.5 * known <= _DRIFT_SD for known in spreads)
 
+    def _are(self, names: Container[str]) -> NDArray[np.bool_]:
+        """Which of the counted loads have one of these names, (n,)."""
+        return np.array([load.name in names for load in self.counted], dtype=bool)
+
     def _of(self, names: Container[str]) -> list[WeighedLoad]:
         return [load for load in self.counted if load.name in names]
 
@@ -165,21 +186,10 @@ class LoadUpdate:
             return prior
         return in_form_of(replace(origin, version=prior.version), prior)
 
-    def _leaves(self, earlier: Sequence[WeighedLoad], before: ParameterSet, now: ParameterSet) -> bool:
-        """Whether the mass of any load by `now` differs from that by `before` by more than the uncertainty of `before`, drift
-        included."""
-        for alike in _alike(earlier):
-            was, std_dev = departures(self.model, before, alike, self.load_settings)
-            error = errors_of(self.model, now, alike, self.load_settings)
-            if not np.all(np.abs(error - was) < self.load_settings.outlier_sds * std_dev):
-                return True
-        return False
 
-
-def _alike(loads: Sequence[WeighedLoad]) -> list[list[WeighedLoad]]:
-    """The loads with moisture and those without, as groups that are not empty."""
-    groups = ([load for load in loads if (load.moisture_pct is None) is without] for without in (False, True))
-    return [group for group in groups if group]
+def _moved(before: Array, after: Array) -> float:
+    """Relative change of loads' masses from their relative errors (n,) before and after; nan for no load."""
+    return float(np.expm1(np.mean(np.log1p(after) - np.log1p(before)))) if before.size else np.nan
 
 
 def _in_order_of(prior: ParameterSet, known: ParameterSet) -> ParameterSet:

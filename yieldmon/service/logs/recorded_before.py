@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -88,13 +89,13 @@ class RecordedBefore:
 
     def take(self, block: FrameBlock, rows: NDArray[np.intp]) -> None:
         """Rows of the sensor's frames in a block of the log."""
-        self._identifiers.update(np.unique(block.can_id[rows]).tolist())
+        self._identifiers.update(_without_repeats(block.can_id[rows]).tolist())
         dated = rows[block.time_s[rows] >= utc.EARLIEST_BUS_TIME_S]
         if not dated.size:
             return
         log, times_s = self._logs[-1], block.time_s[dated]
         log.last_s = max(log.last_s, float(times_s.max()))
-        log.seconds.update(np.unique(np.floor(times_s)).astype(np.int64).tolist())
+        log.seconds.update(_without_repeats(np.floor(times_s)).astype(np.int64).tolist())
         log.take(*_compared(block, dated))
 
     def same_times(self) -> tuple[SameTimes, ...]:
@@ -128,6 +129,11 @@ class RecordedBefore:
         except (InputError, OSError):
             # What is wrong is said when it is measured.
             return
+
+
+def _without_repeats(values: NDArray[Any]) -> NDArray[Any]:
+    """The values without those that equal the one before: few are left of a log's, and there is no need to sort them."""
+    return values[np.flatnonzero(np.concatenate(([True], values[1:] != values[:-1])))] if values.size else values
 
 
 def _compared(block: FrameBlock, rows: NDArray[np.intp]) -> tuple[list[_Key], list[float]]:

@@ -242,8 +242,9 @@ class SideInputs:
             if key[0] in _USED
         }
         for group in dict.fromkeys(group for _, group in best):
+            apart = group in _IN_THE_DBC and decoded.size > 0
             mine = {
-                quantity: taken_column(column, ~np.isin(column.rows, decoded)) if group in _IN_THE_DBC else column
+                quantity: taken_column(column, ~np.isin(column.rows, decoded)) if apart else column
                 for (quantity, of), column in best.items()
                 if of == group
             }
