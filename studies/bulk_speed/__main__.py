@@ -191,6 +191,7 @@ def main() -> int:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = args.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
         one, share = tile(args.recordings)
         text, packed = folder / "bulk.log", folder / "bulk.parquet"
         write_text(tiled(one, args.frames), text)
