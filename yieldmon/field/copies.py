@@ -56,7 +56,7 @@ def without_copies(table: HarvestTable, least_rows: int = _LEAST_ROWS) -> Harves
                 same = mine[_held(table, key, mine, theirs)]
             if len(same) < least_rows:
                 same, off_s = other_clocks.copies(later, mine, former, theirs)
-                clock = f" by a clock that is {off_s:.0f} s off"
+                clock = f" by a clock that is {round(off_s, 1) + 0.0:.12g} s off"
                 if len(same) < max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs))):
                     continue
             again[same] = True
