@@ -48,7 +48,7 @@ STARTS = [
     (lambda *_: "bus: {interface: udp_multicast, channel: 239.74.163.2, options: {port: 70000}}", 2, "udp_multicast channel"),
     (lambda *_: VIRTUAL + "status: {group: no-such-group}", 2, "status.group: 'no-such-group'"),
     (lambda *_: VIRTUAL + f"status: {{socket: {'x' * 200}}}", 2, "status.socket: "),
-    (lambda *_: VIRTUAL + "status: {socket: /proc/nope.sock}", 1, "/proc/nope.sock"),
+    (lambda *_: VIRTUAL + "status: {socket: /proc/nope.sock}", 1, "yieldmon: /proc/nope.sock: No such file"),
     (lambda *_: "bus: {interface: socketcan, channel: absent0}", 1, "socketcan channel absent0: "),
     (another_daemon, 1, "another daemon is using it"),
     (another_daemon_by_a_link, 1, "another daemon is using it"),

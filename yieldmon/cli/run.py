@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from yieldmon.cli import _notes
+from yieldmon.errors import system_text
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.daemon import Daemon
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         return daemon.run()
     except (StoreError, OccupiedError, OSError) as error:
         lines.finish()
-        print(f"yieldmon: {error}", file=sys.stderr)
+        print(f"yieldmon: {system_text(error)}", file=sys.stderr)
         return 1
     finally:
         lines.finish()
