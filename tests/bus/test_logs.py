@@ -9,6 +9,8 @@ import shutil
 import sqlite3
 import sys
 import tempfile
+import time
+from collections.abc import Callable, Iterator
 from importlib.machinery import PathFinder
 from pathlib import Path
 
@@ -75,6 +77,37 @@ def test_round_trip(tmp_path: Path, suffix: str, packed: bool) -> None:
     assert (notes.frames, notes.damaged_places) == (60, 0)
     steps = [later.timestamp - first.timestamp for first, later in itertools.pairwise(messages)]
     assert steps == pytest.approx([0.004] * 59, abs=2e-6)
+
+
+@pytest.fixture
+def zone_of_the_computer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
+    def put(zone: str) -> None:
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
+
+    yield put
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.parametrize("written", ["America/New_York", "Asia/Kolkata"])
+@pytest.mark.parametrize("suffix", [*FORMATS, ".asc.gz"])
+def test_times_do_not_depend_on_the_time_zone_of_a_computer(
+    tmp_path: Path, suffix: str, written: str, zone_of_the_computer: Callable[[str], None]
+) -> None:
+    zone_of_the_computer(written)
+    path = write(tmp_path / f"drive{suffix}", sample_log())
+    for elsewhere in (written, "UTC"):
+        zone_of_the_computer(elsewhere)
+        assert [m.timestamp for m in read(path)[0]] == pytest.approx([m.timestamp for m in sample_log()], abs=2e-3)
+
+
+@MF4[0]
+@MF4[1]
+def test_a_gzipped_mf4_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"\.mf4 is currently incompatible with gzip"):
+        write(tmp_path / "drive.mf4.gz", sample_log())
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import errno
+import gzip
 import os
 import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import can
 
 from yieldmon.bus.log_files import mf4
 from yieldmon.errors import NO_ROOM, database_errno
+from yieldmon.utc import moment
 
 _POLL_S = 0.01
 
@@ -33,12 +36,37 @@ def writing(path: Path | str) -> Iterator[can.Listener]:
                 database.wait_until_taken()
             database.check()
             return
-        with can.Logger(path) as logger:
+        with _writer(Path(path)) as logger:
             yield logger
     except OSError as error:
         if error.filename is None and error.errno in NO_ROOM:
             error.filename = str(path)
         raise
+
+
+def _writer(path: Path) -> can.io.generic.MessageWriter:
+    """python-can's, with dates in UTC also where that writes them in the zone of the computer. Raises ValueError, OSError."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else path.suffix.lower()
+    packed = kind != path.suffix.lower()
+    if kind == ".asc":
+        return _AscWriter(gzip.open(path, "wt") if packed else path)
+    if kind == ".mf4":
+        if packed:
+            raise ValueError("The file type .mf4 is currently incompatible with gzip.")
+        return _Mf4Writer(path)
+    return can.Logger(path)
+
+
+class _AscWriter(can.ASCWriter):
+    def _format_header_datetime(self, dt: datetime) -> str:
+        return super()._format_header_datetime(dt.astimezone(UTC))
+
+
+class _Mf4Writer(can.MF4Writer):
+    def __init__(self, file: Path) -> None:
+        super().__init__(file)
+        self._mdf.header.start_time = moment(self._start_time)
 
 
 class _DatabaseWriter(can.SqliteWriter):
