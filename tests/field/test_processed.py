@@ -42,7 +42,14 @@ def test_a_table_of_seconds_is_read_as_the_store_with_the_same_seconds(tmp_path:
     np.testing.assert_array_equal(table.labels["load"].codes, of_store.labels["load"].codes)
 
 
-def test_grain_between_a_loads_end_and_the_next_ones_begin_is_no_part_of_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("second_field", "mass_of_field_kg"),
+    [("north", {"north": 600.0}), ("south", {"north": 250.0, "": 150.0, "south": 200.0})],
+    ids=["one field", "two fields"],
+)
+def test_grain_between_a_loads_end_and_the_next_ones_begin_is_no_part_of_it(
+    tmp_path: Path, second_field: str, mass_of_field_kg: dict[str, float]
+) -> None:
     """Its seconds carry the ended load's number; in the daemon's lists they count in the total alone."""
     rows = [
         replace(row, load_number=1, load_kg=min(row.load_kg, 250.0))
@@ -53,14 +60,18 @@ def test_grain_between_a_loads_end_and_the_next_ones_begin_is_no_part_of_it(tmp_
     with Store(tmp_path / "s.sqlite") as store:
         loads = (
             Load(1, "north", "corn", 1.7e9, 1.7e9 + 25.0, 250.0, None),
-            Load(2, "north", "corn", 1.7e9 + 40.0, None, 200.0, None),
+            Load(2, second_field, "corn", 1.7e9 + 40.0, None, 200.0, None),
         )
         store.commit([batch(1, seconds=tuple(rows), loads=loads)])
     table = sources.read(tmp_path / "s.sqlite", WIDTH)
-    label = table.labels["load"]
-    mass_kg = {name: float(table["flow_kg_s"][label.codes == code].sum()) for code, name in enumerate(label.names)}
-    assert mass_kg == pytest.approx({"1": 250.0, "": 150.0, "2": 200.0})
-    assert set(table.labels["field"].names) == {"north"}
+
+    def mass_kg(by: str) -> dict[str, float]:
+        label = table.labels[by]
+        return {name: float(table["flow_kg_s"][label.codes == code].sum()) for code, name in enumerate(label.names)}
+
+    assert mass_kg("load") == pytest.approx({"1": 250.0, "": 150.0, "2": 200.0})
+    assert mass_kg("field") == pytest.approx(mass_of_field_kg)
+    assert mass_kg("crop") == pytest.approx({"corn": 600.0})
 
 
 def test_the_width_is_that_of_the_daemons_areas(tmp_path: Path) -> None:

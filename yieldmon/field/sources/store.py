@@ -135,12 +135,16 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
             "heading_deg": _column(rows, "course_deg"),
         }
     )
-    fields = [loads[row.load_number].field if row.load_number in loads else "" for row in rows]
     crops = [loads[row.load_number].crop if row.load_number in loads else "" for row in rows]
     crop_of_row, of_crop = crop_names(Label.of(crops), options.crop)
     between = between_loads(rows, loads.values())
+    numbers = [load_of(row, between) for row in rows]
+    # The machine may have gone on to another field before the next load began; the crop is that whose parameters are in use.
+    of_all = {load.field for load in loads.values() if load.mass_kg > 0.0}
+    anywhere = of_all.pop() if len(of_all) == 1 else ""
+    fields = [anywhere if number is None else loads[number].field if number in loads else "" for number in numbers]
     labels = {
-        "load": Label.of(["" if (number := load_of(row, between)) is None else str(number) for row in rows]),
+        "load": Label.of(["" if number is None else str(number) for number in numbers]),
         "field": Label.constant(options.field, count) if options.field else Label.of(fields),
         "crop": crop_of_row,
     }
