@@ -134,6 +134,11 @@ def test_what_is_written_passes_check_config(tmp_path, capsys, changes):
         ),
         ({"cell_readings_mv": [500.2, 499.7, 500.1]}, "cell_readings_mv: changes by 0.5 mV, and not with the weight"),
         ({"cell_readings_mv": [500.1, 499.7, 500.2]}, "cell_readings_mv: changes by 0.5 mV, and not with the weight"),
+        (
+            {"cell_readings_mv": [0.5, 0.5976, 0.6951], "cell_full_scale_mv": 4},
+            "cell_readings_mv: changes by 0.1951 mV, which gives the gain to 362 % only (readings count as right to 0.5 mV); "
+            "expected 10 % or less: readings in mV, heavier weights, or an amplifier behind the cell",
+        ),
         ({"cell_readings_mv": [500, 597]}, "has 2 values for 3 masses"),
         ({"cell_weights_kg": [5, 10], "cell_readings_mv": [600, 700]}, "has 2 different masses; expected 0 and two weights"),
         ({"plate_reported_deg": [45, 80]}, "the same error within 1 deg at both"),
@@ -365,8 +370,13 @@ def in_a_terminal(monkeypatch: pytest.MonkeyPatch, given: list[str]) -> list[str
         ({"cell_readings_mv": [500, 402, 305]}, ["500 597.6 695.1"], "falls as weight is added"),
         ({"cell_readings_mv": None}, ["500 597 650", "500 597.6 695.1"], "departs by 9.8 % from a straight line"),
         ({"plate_reported_deg": None}, ["45 80", "45 85"], "the same error within 1 deg at both"),
+        ({"cell_weights_kg": None}, ["0 5", "0 5 10"], "cell_weights_kg: has 2 different masses"),
+        ({"plate_measured_deg": None}, ["46.5", "46.5 86.4"], "plate_measured_deg: has 1 value; expected two positions"),
     ],
-    ids=["with others", "by itself, from a file", "by itself, at once", "of the actuator, at once"],
+    ids=[
+        *("with others", "by itself, from a file", "by itself, at once", "of the actuator, at once"),
+        *("one weight, at once", "one position, at once"),
+    ],
 )
 def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, capsys, monkeypatch, changes, given, reported):
     prompts = in_a_terminal(monkeypatch, given)

@@ -18,7 +18,7 @@ from yieldmon.physics.machine import RPM, ImpactSensor, Machine
 from yieldmon.service.config.contradictions import channel_problem
 from yieldmon.units import N_PER_KGF
 
-_READING_SD_MV = 0.5
+_READING_SD_MV, _LARGEST_GAIN_SD = 0.5, 0.1
 _LINEAR_SHARE, _UNRELATED_SHARE = 0.01, 0.5
 """Departures from a straight line over what it changes by: most of a cell, and from which readings say nothing of the weights."""
 _LARGEST_OFFSET_DEG = 10.0
@@ -42,8 +42,7 @@ def cell_gain(masses_kg: Sequence[float], readings_mv: Sequence[float]) -> CellG
     where = "cell_readings_mv"
     if len(masses_kg) != len(readings_mv):
         raise InputError(where, f"has {len(readings_mv)} values for {len(masses_kg)} masses", "one for each")
-    if len(set(masses_kg)) < 3:
-        raise InputError("cell_weights_kg", f"has {len(set(masses_kg))} different masses", "0 and two weights, such as 0, 5, 10")
+    _check_weights(masses_kg)
     force, mv = N_PER_KGF * np.array(masses_kg), np.array(readings_mv)
     slope, zero = np.polyfit(force, mv, 1)
     residual, change_mv = mv - (slope * force + zero), float(np.ptp(mv))
@@ -61,17 +60,35 @@ def cell_gain(masses_kg: Sequence[float], readings_mv: Sequence[float]) -> CellG
             f"at most {100.0 * _LINEAR_SHARE:.0f} %; hang the weights again, the string level and nothing touching the plate",
         )
     spread = max(float(np.sqrt(np.sum(residual**2) / max(len(mv) - 2, 1))), _READING_SD_MV)
-    slope_sd = spread / float(np.sqrt(np.sum((force - force.mean()) ** 2)))
-    return CellGain(float(1.0 / slope), float(slope_sd / slope), float(zero), worst)
+    sd = spread / float(np.sqrt(np.sum((force - force.mean()) ** 2))) / float(slope)
+    if sd > _LARGEST_GAIN_SD:
+        raise InputError(
+            where,
+            f"changes by {change_mv:g} mV, which gives the gain to {100.0 * sd:.0f} % only "
+            f"(readings count as right to {_READING_SD_MV:g} mV)",
+            f"{100.0 * _LARGEST_GAIN_SD:.0f} % or less: readings in mV, heavier weights, or an amplifier behind the cell",
+        )
+    return CellGain(float(1.0 / slope), sd, float(zero), worst)
+
+
+def _check_weights(masses_kg: Sequence[float]) -> None:
+    if len(set(masses_kg)) < 3:
+        raise InputError("cell_weights_kg", f"has {len(set(masses_kg))} different masses", "0 and two weights, such as 0, 5, 10")
+
+
+def _check_positions(measured: Sequence[float]) -> None:
+    if len(measured) < 2:
+        raise InputError("plate_measured_deg", "has 1 value", "two positions, such as 45 and 85")
+    if abs(measured[0] - measured[1]) < 5.0:
+        raise InputError("plate_measured_deg", "are less than 5 deg apart", "two positions well apart, such as 45 and 85")
 
 
 def plate_offset_deg(measured: Sequence[float], reported: Sequence[float]) -> float:
     """What the reported angle lacks to the true one. Raises InputError where the two positions disagree."""
-    if len(measured) != len(reported) or len(measured) < 2:
-        raise InputError("plate_reported_deg", f"has {len(reported)} values for {len(measured)} positions", "two of each")
+    _check_positions(measured)
+    if len(measured) != len(reported):
+        raise InputError("plate_reported_deg", f"has {len(reported)} values for {len(measured)} positions", "one for each")
     error = np.array(measured) - np.array(reported)
-    if abs(measured[0] - measured[1]) < 5.0:
-        raise InputError("plate_measured_deg", "are less than 5 deg apart", "two positions well apart, such as 45 and 85")
     if (measured[1] - measured[0]) * (reported[1] - reported[0]) < 0.0:
         raise InputError(
             "plate_reported_deg",
@@ -89,7 +106,11 @@ def plate_offset_deg(measured: Sequence[float], reported: Sequence[float]) -> fl
 
 def check_at_once(answers: Mapping[str, Any], key: str) -> None:
     """Raises InputError for readings that are wrong by themselves, while whoever took them is still at the machine."""
-    if key == "cell_readings_mv" and "cell_weights_kg" in answers:
+    if key == "cell_weights_kg":
+        _check_weights(answers[key])
+    elif key == "plate_measured_deg" and not bolted(answers):
+        _check_positions(answers[key])
+    elif key == "cell_readings_mv" and "cell_weights_kg" in answers:
         cell_gain(answers["cell_weights_kg"], answers[key])
     elif key == "plate_reported_deg" and "plate_measured_deg" in answers:
         plate_offset_deg(answers["plate_measured_deg"], answers[key])
