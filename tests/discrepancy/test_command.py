@@ -18,6 +18,7 @@ import pytest
 from tests.golden import kept
 from yieldmon.cli.main import main
 from yieldmon.discrepancy import adoption, diagnosis, report
+from yieldmon.discrepancy.observations import hold_out
 from yieldmon.estimation.parameters import CARRIED, CARRIED_FROM, SCALE, ParameterSet
 from yieldmon.files import parameter_file, table
 from yieldmon.files.table import Table
@@ -262,3 +263,21 @@ def test_a_gap_within_the_model_s_own_error_is_reported_to_be_one(
     found = diagnosis.diagnose_rows(rows, start)
     assert found.verdict == "none"
     assert said in report.summary(found)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"), [("outliers", "not all rows together"), ("machines", "do not show whether the model fits")]
+)
+def test_rows_that_do_not_settle_the_fit_are_not_said_to_fit(make_rows, start, how: str, said: str) -> None:
+    """Two of three repetitions are wrong in a held-out condition; rows of a machine of another gain stand among the others."""
+    rows = make_rows()
+    if how == "machines":
+        rows = replace(rows, value=rows.value * (0.98 + 0.02 * np.array([float(t) for t in rows.trial])))
+    else:
+        held = np.flatnonzero(hold_out(rows, "cells", 1))
+        condition = np.flatnonzero(rows.cell == rows.cell[held[0]])
+        rows = replace(rows, value=np.where(np.isin(np.arange(len(rows)), condition[:2]), 1.5, 1.0) * rows.value)
+    found = diagnosis.diagnose_rows(rows, start)
+    assert found.verdict == "none"
+    assert said in report.summary(found)
+    assert "Nothing to correct" not in report.summary(found)

@@ -171,6 +171,19 @@ def test_the_robust_fit_of_the_bench_table_leans_less_on_an_outlier() -> None:
     assert shift[True] < 0.5 * shift[False]
 
 
+def test_high_readings_that_scatter_as_replicates_do_are_no_outliers() -> None:
+    """At 5 % of the reading high ones lie many times farther from the fit than low ones."""
+    conditions = Conditions(
+        np.radians(np.tile([45.0, 60.0, 75.0, 90.0], 48)), 42.0, mass_flow_kg_s=np.repeat([2.0, 4.0, 7.0, 20.0], 48)
+    )
+    clean = np.real(MODEL.paddle_momentum(conditions, TRUE))
+    rows = Measurements(conditions, clean * (1.0 + 0.05 * np.random.default_rng(16).normal(size=clean.size)))
+    assert fit(rows, intervals=False, starts=2).residuals.outlier_rows == ()
+    spoilt = rows.momentum.copy()
+    spoilt[3] *= 3.0
+    assert fit(Measurements(conditions, spoilt), intervals=False, starts=2).residuals.outlier_rows == (3,)
+
+
 # Errors
 
 

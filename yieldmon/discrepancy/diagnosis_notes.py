@@ -175,14 +175,18 @@ def of_all_rows(left: LackOfFit) -> str:
     )
 
 
+def repetitions_hide(choice: Choice, noise: Noise) -> bool:
+    """Whether repetitions scatter so much more than conditions do that they differ by more than noise."""
+    return noise.how == "replicates" and bool(scipy.stats.f.cdf(choice.lack_of_fit_after.f, choice.best.dof, noise.dof) < _SURE)
+
+
 def of_repetitions(choice: Choice, noise: Noise) -> list[str]:
     """That conditions scatter more than repetitions without a pattern, so that no model could explain it; or that they scatter
     less."""
-    after = choice.lack_of_fit_after.f
-    if noise.how == "replicates" and scipy.stats.f.cdf(after, choice.best.dof, noise.dof) < _SURE:
+    if repetitions_hide(choice, noise):
         return [
-            f"repetitions scatter more than conditions do (F = {after:.2f}): trials that differ as a whole (warm-up, "
-            "zero) hide what is missing"
+            f"repetitions scatter more than conditions do (F = {choice.lack_of_fit_after.f:.2f}): trials that differ as a whole "
+            "(warm-up, zero), or rows of another machine or grain among them, hide what is missing"
         ]
     found = lack_without_pattern(choice.base, noise)
     if choice.verdict != "unknown" or found.p_value > _SURE or found.f - 1.0 < 0.5 * (choice.lack_of_fit_before.f - 1.0):

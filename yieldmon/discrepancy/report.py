@@ -18,6 +18,7 @@ from yieldmon.physics.effects import get_effect, registry
 from yieldmon.physics.machine import RPM
 from yieldmon.physics.numerics import Array
 
+from . import diagnosis_notes
 from .choice import Step, rows_searched
 from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
@@ -75,7 +76,7 @@ def summary(diagnosis: Diagnosis) -> str:
     """The finding in plain words."""
     before = diagnosis.before.rms_over_max_pct
     if diagnosis.verdict == "none":
-        return f"The model fits these measurements {_how_well(diagnosis)}. Nothing to correct."
+        return _how_well(diagnosis)
     if diagnosis.verdict == "unknown":
         return (
             f"The model misses these measurements by {before:.1f} % of the largest reading, more than they scatter. "
@@ -95,13 +96,24 @@ def summary(diagnosis: Diagnosis) -> str:
 
 
 def _how_well(diagnosis: Diagnosis) -> str:
-    """Whether the model explains the rows within their repeatability, or only within the usual model error."""
+    """Whether the model explains the rows within their repeatability, only within the usual model error, or not surely."""
     error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
-    f, base = diagnosis.before.lack_of_fit_f, diagnosis.base
-    if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= diagnosis.options.policy.lack_of_fit_p:
-        return f"as well as they repeat {error}"
+    measure, base, most = diagnosis.before, diagnosis.base, diagnosis.options.policy.lack_of_fit_p
+    f, p = measure.lack_of_fit_f, measure.p_value
+    if f is not None and p is not None and p < most:
+        return (
+            f"The model fits the rows searched, but not all rows together {error}: F = {f:.2f}, p = {p:.1g}. "
+            "Look at the held-out rows, or diagnose with --hold-out none."
+        )
+    if diagnosis_notes.repetitions_hide(diagnosis.choice, diagnosis.noise):
+        return f"Repetitions scatter more than conditions do {error}, so these measurements do not show whether the model fits."
+    if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= most:
+        return f"The model fits these measurements as well as they repeat {error}. Nothing to correct."
     own = 100.0 * base.frame.model_error
-    return f"within the {own:.1g} % by which models of the same physics differ {error}, though they repeat better (F = {f:.2f})"
+    return (
+        f"The model fits these measurements within the {own:.1g} % by which models of the same physics differ {error}, "
+        f"though they repeat better (F = {f:.2f}). Nothing to correct."
+    )
 
 
 def _not_named(diagnosis: Diagnosis) -> str:

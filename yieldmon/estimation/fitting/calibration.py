@@ -340,8 +340,9 @@ def _quality(problem: CalibrationProblem, error: Array, cell_slopes: Array, vari
     rows, width = error.size, len(problem.names)
     rms = float(np.sqrt(np.mean(error**2)))
     largest = float(np.max(np.abs(problem.data.momentum)))
-    robust_sd = SD_PER_MAD * float(np.median(np.abs(error / problem.row_sd)))
-    far = np.abs(error / problem.row_sd) > OUTLIER_SDS * robust_sd
+    relative = np.abs(error) / (problem.row_sd if problem.spread is None else problem.row_sd * np.sqrt(problem.spread))
+    robust_sd = SD_PER_MAD * float(np.median(relative))
+    far = relative > OUTLIER_SDS * robust_sd
     outliers = np.flatnonzero(far) if robust_sd > 0.0 else np.zeros(0, dtype=np.intp)
     f_value = p_value = float("nan")
     cells = int(problem.cell.max()) + 1
