@@ -16,9 +16,7 @@ def answer(**more: object) -> dict[str, object]:
 
 def test_several_tickets_and_loads_are_spoken_of_as_several() -> None:
     said = tickets_replaced(answer())
-    assert said.startswith(
-        "tickets 1 and 2 stood for it; the newer one counts (`yieldmon ticket undo 3` if it is for another load"
-    )
+    assert said.startswith("the new ticket replaces tickets 1 and 2 (`yieldmon ticket undo 3` if it is for another load")
     assert "as if tickets 1 and 2 had never been entered" in said
     assert "; loads 1, 2 and 5 have no ticket any more: enter those, or one for all (`yieldmon ticket 1-5 MASS`)" in said
     assert "; load 2 has no ticket any more: enter one for it, or" in tickets_replaced(answer(without_ticket=[2]))

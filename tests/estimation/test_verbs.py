@@ -339,7 +339,7 @@ def test_an_outlier_is_named_by_its_row_in_the_file(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--impact", "restitution"], "cannot carry the scale"),
+        (["--impact", "restitution"], "cannot represent the scale"),
         (["--starts", "0"], "--starts: is 0"),
         (["--effects", "magic"], "effect 'magic': unknown"),
         (["--free", "colour"], "--free: is 'colour'"),

@@ -138,7 +138,7 @@ def test_a_receiver_slower_than_the_log_costs_no_ground(kept: int, capsys: pytes
     table = rows(speeds=False)
     held = [row | {one: table[n - n % PASS_S % kept][one] for one in ("longitude", "latitude")} for n, row in enumerate(table)]
     document, said = mapped(capsys, held)
-    assert "rows are placed between them" in said
+    assert "rows are interpolated between them" in said
     is_the_harvest(document)
 
 
@@ -147,7 +147,7 @@ def test_rounded_places_are_said_and_contradict_no_unit(capsys: pytest.CaptureFi
         lambda _, row: row | {"distance_m": SPEED_M_S} | {one: round(row[one], 4) for one in ("longitude", "latitude")}
     )
     document, said = mapped(capsys, table)
-    assert "rows are placed between them" in said
+    assert "rows are interpolated between them" in said
     assert "expected another unit" not in said
     assert "exchanged" not in said
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
@@ -190,7 +190,7 @@ def test_all_sheets_of_a_workbook_are_read(first: str, capsys: pytest.CaptureFix
 def test_a_header_that_the_grain_contradicts_is_not_used(down: Any, up: Any, capsys: pytest.CaptureFixture[str]) -> None:
     table = changed(lambda n, row: row | {"header": up if n % PASS_S < 4 else down, "moisture": 15.0})
     document, said = mapped(capsys, table)
-    assert "of the grain is measured while the header is said to be up: that is not used" in said
+    assert "of the grain is measured while the header status is up: the status is not used" in said
     is_the_harvest(document)
 
 
@@ -212,7 +212,7 @@ def test_a_mass_that_goes_on_is_a_sum(capsys: pytest.CaptureFixture[str]) -> Non
         {k: v for k, v in row.items() if k != "yield_t_ha"} | {"total_kg": kg} for row, kg in zip(rows(), total, strict=True)
     ]
     document, said = mapped(capsys, table, words=("--column", "mass=total_kg:kg"))
-    assert "total_kg is a sum that goes on: its differences are the masses" in said
+    assert "total_kg is a running total: its differences are used as masses" in said
     is_the_harvest(document)
 
 
@@ -232,7 +232,7 @@ def test_minutes_that_are_taken_as_seconds_are_named(quantity: str, capsys: pyte
         assert "m/s: expected other units of time, place, distance or speed" in said
     else:
         assert code == 2
-        assert "can be no harvest: 960 values of flow_kg_s outside 0 to 300 are taken as unknown" in said
+        assert "cannot be a harvest: 960 values of flow_kg_s outside 0 to 300 are taken as unknown" in said
 
 
 def test_areas_across_the_date_line_are_parts_on_either_side(capsys: pytest.CaptureFixture[str]) -> None:

@@ -360,4 +360,4 @@ def test_machines_that_differ_in_capitals_are_named(tmp_path: Path, capsys: pyte
     (tmp_path / "m.csv").write_text("machine,day,log\nNorth,d,a.log\nnorth,d,b.log\n")
     code, document, said = fleet_run(tmp_path / "m.csv", tmp_path / "out", capsys)
     assert (code, document["done"]) == (0, 2)
-    assert "North and north differ only in capitals and count as 2 machines; one machine takes one name" in said
+    assert "North and north differ only in upper and lower case and count as 2 machines; use one name for one machine" in said

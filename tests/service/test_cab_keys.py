@@ -57,7 +57,7 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         assert cab.press("l", "s", "y") == "load 2 complete"
         measured_kg = bench.status["load"]["mass_kg"]
         reported = cab.press("t", *f"2 {1.02 * measured_kg:.4f}kg", "\r", "y")
-        alone = "; the first, it alone sets the scale: weigh a second load"
+        alone = "; as the first, it alone sets the scale: weigh a second load"
         assert reported == f"ticket for load 2 taken: +2.0 % against what was measured{alone}"
         assert [mass.load_number for mass in bench.daemon.monitor.reference_masses] == [2]
         reported = cab.press("t", *"1 9kg", "\r", "y")

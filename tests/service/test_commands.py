@@ -146,7 +146,7 @@ def test_a_load_whose_zero_may_be_far_off_is_no_reference(zero_kg: float, update
     log = Journal(Memory(loads=(load,)), parameter_file.load(), now_s=0.0)
     answer = commands.execute({"command": "ticket", "first_load": 1, "mass_kg": 2800.0}, monitor, log, 1.7e9)
     assert (answer["is_reference"], len(monitor.tickets)) == (updates, int(updates))
-    why = "the zero was wrong or too old for load 1: its mass may be off by 10 % for that"
+    why = "the zero was wrong or too old for load 1: its mass may be off by 10 % because of it"
     assert answer["why_no_reference"] == ("" if updates else why)
 
 

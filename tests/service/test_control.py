@@ -140,7 +140,7 @@ def test_an_unknown_group_is_reported(tmp_path, capsys):
 def test_a_file_is_no_socket_and_stays(tmp_path):
     path = tmp_path / "harvest.csv"
     path.write_text("kept")
-    with pytest.raises(InputError, match=r"status\.socket: .*harvest\.csv: is a file; it is left as it is"):
+    with pytest.raises(InputError, match=r"status\.socket: .*harvest\.csv: is a file, which is not replaced"):
         ControlServer(path, None, lambda request: {})
     assert path.read_text() == "kept"
 

@@ -351,7 +351,7 @@ def test_a_store_that_is_opened_again_after_a_reload_is_the_one_of_the_start(tmp
         (tmp_path / "c.yaml").write_text("bus: {channel: other}\nstore: {path: other.sqlite}\nunits: us")
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reloads"] == 1, "the reload")
-        assert bench.status["configuration"]["reload"] == "taken; bus, store will be at the next start"
+        assert bench.status["configuration"]["reload"] == "taken; bus, store will be taken at the next start"
         assert bench.status["units"] == "us"
         assert bench.daemon.writer.wait_until_written(PATIENCE_S)
         # Files that are removed in use are written anew, and opened.
@@ -419,7 +419,7 @@ def test_reload_takes_a_good_configuration_and_refuses_a_bad_one(tmp_path):
         (tmp_path / "c.yaml").write_text("sweep: {interval_s: 7200}\nstore: {size_mb: 64}\nbus: {transmit_max_age_s: 60}")
         bench.daemon.request_reload()
         wait_for(lambda: bench.status["configuration"]["reload"].startswith("taken"), "the reload")
-        assert bench.status["configuration"]["reload"] == "taken; store will be at the next start"
+        assert bench.status["configuration"]["reload"] == "taken; store will be taken at the next start"
         assert bench.daemon.monitor.settings.sweep.interval_s == 7200.0
         bench.play(3, GRAIN_MV)
         bench.played()
@@ -458,7 +458,10 @@ def test_what_waits_for_a_start_is_reported_against_what_this_one_began_with(tmp
             bench.daemon.request_reload()
             wait_for(lambda number=number: bench.status["configuration"]["reloads"] == number, "the reload")
             answers.append(bench.status["configuration"]["reload"])
-        assert answers == ["taken; store will be at the next start"] * 2 + ["taken", "taken; bus will be at the next start"]
+        assert answers == ["taken; store will be taken at the next start"] * 2 + [
+            "taken",
+            "taken; bus will be taken at the next start",
+        ]
 
 
 def test_an_interface_that_goes_and_comes_back(tmp_path):

@@ -157,7 +157,7 @@ def test_what_there_is_no_room_for_is_in_the_totals_and_said(folder, undisturbed
         measured_kg = bench.status["total"]["mass_kg"]
         bench.play(2.0, 100.0)
         bench.played()
-        assert "from 2 s after it on are in the totals, without records" in bench.faults["StoreFailing"]
+        assert "measured after the first 2 s are in the totals, without records" in bench.faults["StoreFailing"]
     rows = stored(folder)
     kept = [row for row in rows if row.time_s < NEXT_S + kept_s]
     assert kept == undisturbed[: len(kept)]

@@ -240,5 +240,5 @@ def test_outputs_that_change_with_the_service_running_wait_for_a_restart(tmp_pat
             bench.daemon.request_reload()
             wait_for(lambda before=before: bench.status["configuration"]["reloads"] > before, "the reload")
             said = bench.status["configuration"]["reload"]
-            expected = "changed with the service running; expected a restart: the bus is filtered for them"
+            expected = "changed while the service runs; expected a restart, since the bus is filtered for it"
             assert said == f"refused: {section}: {expected}"

@@ -70,7 +70,7 @@ def test_a_disk_that_hangs_holds_up_no_stop(
 
     monkeypatch.setattr(Path, "unlink", hang)
     started_and_stopped(path)
-    assert "m.prom: the disk hangs; the file stays" in caplog.text
+    assert "m.prom: the disk hangs; the file is left in place" in caplog.text
     assert path.exists()
     answers.set()
     for thread in threading.enumerate():

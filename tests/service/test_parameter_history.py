@@ -136,7 +136,7 @@ def changed_crop(run: Run) -> ParameterSet:
     ("version", "wrong"),
     [
         (9, "version 9: no such calibration; expected a version that `yieldmon calibrations list` shows"),
-        (2, "version 2: is undone already; expected one that stands"),
+        (2, "version 2: is undone already; expected one that is not undone"),
         (4, "version 4: is a change of crop"),
         (5, "version 5: is a change of crop"),
         (1, "version 1: the parameters before it are not known; expected a later version"),

@@ -75,7 +75,7 @@ def test_a_load_that_is_known_better_than_the_rest_of_its_truck_is_hardly_moved_
     ("words", "said"),
     [
         (("--other", "1e5kg"), "leaves -"),
-        (("--other-std-dev", "3kg"), "is of nothing"),
+        (("--other-std-dev", "3kg"), "is given without other_kg"),
         (("--other", "ten"), "--other"),
     ],
 )

@@ -423,7 +423,7 @@ def test_a_store_put_back_from_a_copy_is_reported(path):
     path.write_bytes(copy)
     assert (
         recover(path, Retention(), lambda: Store(path)).note
-        == "its last 2 commits are missing; of an older copy that was put in its place that is right"
+        == "its last 2 commits are missing, as expected if an older copy was put in its place"
     )
 
 

@@ -71,13 +71,13 @@ def test_the_journal_of_another_store_is_set_aside(tmp_path: Path, noted: bool) 
 def test_a_journal_over_the_file_of_another_store_is_reported(tmp_path: Path) -> None:
     ours, others = killed(tmp_path / "a", 5, 3), killed(tmp_path / "b", 6, 2)
     found = start(tmp_path, {**ours, "": others[""]})
-    assert "its file and its journal are of two stores" in found.note or "another store than was written here" in found.note
+    assert "its file and its journal are of two stores" in found.note or "it is not the store that was written here" in found.note
 
 
 def test_another_store_in_the_place_of_ours_is_reported_until_it_is_ours(tmp_path: Path) -> None:
     ours, others = killed(tmp_path / "a", 5, 3), killed(tmp_path / "b", 6, 2)
     found = start(tmp_path, {**others, ".last": ours[".last"]})
-    assert "another store than was written here: the totals may be another machine's" in found.note
+    assert "it is not the store that was written here: the totals may be another machine's" in found.note
     path = tmp_path / "placed.sqlite"
     with Store(path) as store:
         commit(store, range(30, 31))

@@ -89,9 +89,9 @@ def test_the_last_ticket_in_short_tons_is_asked_about_raises_the_alarm_and_is_me
         assert asked.rstrip().endswith("if it is a slip, enter the right mass as another ticket")
         assert "ScaleDisagrees" in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
         mended = enter(1.0)
-        assert mended.startswith("yieldmon: load 5: ticket 3 stood for it; the newer one counts")
+        assert mended.startswith("yieldmon: load 5: the new ticket replaces ticket 3")
         assert mended.count("\n") == 1
-        assert enter(1.0).startswith("yieldmon: load 5: ticket 4 stood for it")
+        assert enter(1.0).startswith("yieldmon: load 5: the new ticket replaces ticket 4")
         assert "ScaleDisagrees" not in [fault["code"] for fault in bench.daemon.snapshot["faults"]]
 
 
@@ -129,14 +129,14 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
             bench.played()
             return capsys.readouterr().err
 
-        assert "the first ticket, it alone sets the scale (" in enter(2, 1.4)
+        assert "as the first ticket, it alone sets the scale (" in enter(2, 1.4)
         assert (
             "by one ticket alone: if it is wrong by 10 %, so is every load, until a second shows it"
             in bench.daemon.monitor.outcome.reason
         )
         second = enter(3, 1.0)
         assert "alone sets the scale" not in second
-        assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in second
+        assert "or ticket 1, the only one before it, is wrong (`yieldmon ticket undo 1`)" in second
         assert "by one ticket alone" not in bench.daemon.monitor.outcome.reason
         # Another crop's tickets say nothing of the machine in this one.
         wheat = []
@@ -152,11 +152,11 @@ def test_the_first_ticket_says_that_it_decides_alone_and_the_second_that_the_fir
             season.masses[wheat[-1]["number"]] = wheat[-1]["mass_kg"]
         capsys.readouterr()
         first = enter(wheat[0]["number"], 0.88 / TRUE)
-        assert "the first ticket, it alone sets the scale (" in first
+        assert "as the first ticket, it alone sets the scale (" in first
         assert "known to hold" not in first
         second = enter(wheat[1]["number"], 1.1 / TRUE)
         assert "alone sets the scale" not in second
-        assert "or ticket 3, the only one before it, is the wrong one (`yieldmon ticket undo 3`)" in second
+        assert "or ticket 3, the only one before it, is wrong (`yieldmon ticket undo 3`)" in second
 
 
 def test_where_a_tank_scale_has_updated_no_ticket_is_said_to_decide_alone(tmp_path, capsys) -> None:

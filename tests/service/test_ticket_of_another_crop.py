@@ -88,7 +88,7 @@ def test_a_ticket_that_comes_after_its_crop_updates_it_when_it_returns(restart: 
         assert "a reference for wheat" in told
         assert "it updates the parameters of wheat" in told
         assert "`yieldmon load start --crop wheat`" in told
-        assert "the first ticket, it alone sets the scale" in warned
+        assert "as the first ticket, it alone sets the scale" in warned
         bench.play(3, 0.0)
         bench.played()
         assert dict(bench.daemon.monitor.estimator.parameters.values) == barley
@@ -131,10 +131,10 @@ def test_late_tickets_that_contradict_each_other_are_asked_about(tmp_path: Path)
         assert "it alone sets the scale" in warned
         _, warned = said(tmp_path, "ticket", "3", f"{1.2 * TRUE * masses[3]:.3f}kg")
         assert "20.0 % more than" in warned
-        assert "or ticket 1, the only one before it, is the wrong one (`yieldmon ticket undo 1`)" in warned
+        assert "or ticket 1, the only one before it, is wrong (`yieldmon ticket undo 1`)" in warned
         _, warned = said(tmp_path, "ticket", "3", f"{1.02 * TRUE * masses[3]:.3f}kg")
         assert "more than" not in warned
-        assert "ticket 2 stood for it; the newer one counts" in warned
+        assert "the new ticket replaces ticket 2" in warned
 
 
 def test_loads_of_a_crop_that_learnt_a_curve_calibrate_what_is_known_of_that_crop(tmp_path: Path) -> None:

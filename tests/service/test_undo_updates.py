@@ -164,7 +164,7 @@ def test_an_undo_that_took_an_update_back_is_not_undone_behind_its_ticket(undo: 
         with pytest.raises(SystemExit):
             cli.main(["calibrations", "undo", "4", "--socket", str(season.folder / "yieldmon.sock")])
         said = capsys.readouterr().err
-        assert "version 4: is an undo, and what it took back rests on ticket 2, which updates no parameters now" in said
+        assert "version 4: is an undo; what it took back used ticket 2, which no longer updates the parameters" in said
         words = said.split("`")[1].removeprefix("yieldmon ").split()
         assert ask(season.folder, *words, "--std-dev", f"{0.002 * 1.003 * TRUE * season.masses[3]}kg")["is_reference"]
         same(left(season, bench), before)
@@ -410,18 +410,18 @@ def test_the_owner_is_told_what_a_correction_and_a_second_ticket_leave(tmp_path,
         assert ask(season.folder, "status")["load"]["crop"] == "corn"
         mass_kg = ask(season.folder, "load", "list")["loads"][-1]["mass_kg"]
         assert cli.main(["ticket", str(number), f"{mass_kg}kg", *socket]) == 0
-        assert "stood for it" not in capsys.readouterr().err
+        assert "the new ticket replaces" not in capsys.readouterr().err
         assert cli.main(["ticket", str(number), f"{0.4 * mass_kg}kg + {0.6 * mass_kg}kg", *socket]) == 0
         assert ask(season.folder, "load", "list")["loads"][-1]["ticket_mass_kg"] == pytest.approx(mass_kg)
         told = capsys.readouterr().err
-        assert "ticket 1 stood for it; the newer one counts (`yieldmon ticket undo 2` if it is for another load; " in told
+        assert "the new ticket replaces ticket 1 (`yieldmon ticket undo 2` if it is for another load; " in told
         assert f"of loads weighed in parts, as on two trucks, enter all in one: `yieldmon ticket {number} 9.1t+8.4t`)" in told
         assert "has no ticket any more" not in told
         first, weighed = f"{number - 1}-{number}", ask(season.folder, "load", "list")["loads"][-1]["ticket_mass_kg"]
         assert cli.main(["ticket", first, f"{2 * weighed}kg", *socket]) == 0
         assert cli.main(["ticket", str(number), f"{weighed}kg", *socket]) == 0
         told = capsys.readouterr().err
-        assert "ticket 3 stood for it; the newer one counts" in told
+        assert "the new ticket replaces ticket 3" in told
         whole = f"`yieldmon ticket {first} MASS`"
         assert f"; load {number - 1} has no ticket any more: enter one for it, or one for all ({whole})" in told
         assert "brings back ticket 2, which ticket 3 replaced" not in told

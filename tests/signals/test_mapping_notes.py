@@ -31,7 +31,7 @@ def test_a_force_from_the_bus_says_that_the_gain_of_the_machine_file_does_not_ac
     (tmp_path / "c.yaml").write_text(f"plate: {{fixed_angle_deg: 70}}\nsignals:\n  {quantity}: {binding}\n")
     found = [note for note in notes(configuration.load(tmp_path / "c.yaml")) if "gain_n_per_mv" in note]
     assert len(found) == reported
-    assert all("(0.4448) does not act on it" in note and "bind impact_voltage with unit: mV" in note for note in found)
+    assert all("(0.4448) does not apply to it" in note and "bind impact_voltage with unit: mV" in note for note in found)
 
 
 OWN_DBC = """\

@@ -257,14 +257,15 @@ def test_what_a_late_ticket_is_told(browser: Browser, tmp_path: Path) -> None:
 
             late = told("Ticket", "Correct the loads", first_load="2", last_load="2", mass=f"{1.05 * masses[2]:.2f}")
             assert (
-                "a reference for wheat, which learns once it is harvested again. It is the first and alone sets the scale" in late
-            )
+                "a reference for wheat, whose parameters it updates once that is harvested again. "
+                "It is the first and alone sets the scale"
+            ) in late
             both = told("Ticket", "Correct the loads", first_load="2", last_load="3", mass=f"{masses[2] + masses[3]:.2f}")
             assert (
                 "no reference for the calibration: loads of corn and wheat on one ticket update the parameters of none; "
                 "Wrong crop if" in both
             )
-            assert "Ticket 1 stood for it; the newer one counts (of a load weighed in parts enter the sum)." in both
+            assert "It replaces ticket 1 (of a load weighed in parts enter the sum)." in both
             unknown = told("New load", "Begin load", crop="havre")
             assert unknown == "Load 4 begun; havre is not a known crop: it starts with the parameters of the crop before."
 

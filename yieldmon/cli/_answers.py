@@ -50,7 +50,7 @@ def tickets_replaced(answer: Mapping[str, Any]) -> str:
     numbers, stood = [row["ticket"] for row in rows], answer["replaces"]
     undo = f"`yieldmon ticket undo {answer['ticket']}` if it is for another load"
     parts = f"of loads weighed in parts, as on two trucks, enter all in one: `yieldmon ticket {_loads_of(answer)} 9.1t+8.4t`"
-    said = f"{named('ticket', stood)} stood for it; the newer one counts ({undo}; {parts})"
+    said = f"the new ticket replaces {named('ticket', stood)} ({undo}; {parts})"
     if numbers:
         said += f", as if {named('ticket', numbers)} had never been entered"
     if without := answer.get("without_ticket"):

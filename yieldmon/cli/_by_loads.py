@@ -97,10 +97,11 @@ def _require_machine(times: float | None, args: argparse.Namespace) -> None:
     nobody named; a note on one that was named. times: as `weighed_loads.times_what_a_machine_makes`."""
     if times is None or abs(times - 1.0) <= _SAME_MACHINE:
         return
-    problem = f"its masses are {times:.3g} times what this machine's geometry makes of the forces"
-    if args.config is None and args.machine is None:
-        expected = "--config FILE, the configuration of the machine that measured the loads"
-        raise InputError(args.loads[0], f"{problem}, the shipped one's", expected)
+    shipped_one = args.config is None and args.machine is None
+    which = "the shipped machine's" if shipped_one else "this machine's"
+    problem = f"its masses are {times:.3g} times what {which} geometry makes of the forces"
+    if shipped_one:
+        raise InputError(args.loads[0], problem, "--config FILE, the configuration of the machine that measured the loads")
     _notes.note(f"{args.loads[0]}: {problem}: is it the configuration of the machine that measured these loads?")
 
 

@@ -59,7 +59,7 @@ def asked(args: argparse.Namespace, machine: Machine, data: Table, rows: Measure
     impact = impact or ("exchange" if scaled else "restitution")
     if scaled and impact == "restitution":
         raise InputError(
-            "--impact restitution", "cannot carry the scale of a `response`", "--impact exchange, or --response-scale S"
+            "--impact restitution", "cannot represent the scale of a `response`", "--impact exchange, or --response-scale S"
         )
     model = _model(machine, effects)
     fixed = model_options.assignments(args.fix, "--fix")

@@ -60,7 +60,7 @@ def text(document: TapDocument) -> str:
         f"{document['taps']} taps" + (f"; left out: {left_out}" if left_out else ""),
         f"response_s: {1e3 * document['response_s']:.2f} ms (sd {1e3 * document['std_dev_s']:.2f}); the machine file has "
         f"{1e3 * document['before_s']:g} ms",
-        f"what the model leaves of a tap: {document['misfit_pct']:.1f} % of its height",
+        f"not explained by the model: {document['misfit_pct']:.1f} % of its height",
     ]
     if document["refused"]:
         lines.append(f"refused: {document['refused']}")

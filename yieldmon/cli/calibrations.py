@@ -83,4 +83,4 @@ def _restarted(answer: Mapping[str, Any]) -> str:
     if answer["load"] is not None:
         parts.append(f"load {answer['load']} started")
     parts.append(f"± {answer['std_dev_pct']:.0f} % until you weigh a load; run the elevator empty and `yieldmon zero` first")
-    return "; ".join(parts) + f"; back: `yieldmon calibrations undo {answer['version']}`"
+    return "; ".join(parts) + f"; to undo this: `yieldmon calibrations undo {answer['version']}`"

@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         epilog="example: yieldmon install --interface can1",
     )
     parser.add_argument("--uninstall", action="store_true", help="remove everything except configuration and records")
-    parser.add_argument("--web", action="store_true", help="also install the web page (`yieldmon web`) as a unit of its own")
+    parser.add_argument("--web", action="store_true", help="also install the web page (`yieldmon web`) as a separate unit")
     parser.add_argument("--rollback", action="store_true", help="go back to the previous installation; run again to go forward")
     parser.add_argument(
         "--no-lock", action="store_true", help="install the latest dependencies instead of those in the lock file"

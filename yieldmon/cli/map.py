@@ -53,7 +53,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--header-right",
         type=float,
         metavar="M",
-        help="its middle right of the antenna (default: the file's)",
+        help="middle of the header right of the antenna (default: the file's)",
     )
     what.add_argument(
         "--column",

@@ -114,7 +114,7 @@ def _warnings(answer: Mapping[str, Any], units: Units) -> Iterator[str]:
         yield tickets_replaced(answer)
     if (alone := answer.get("sets_scale_pct")) is not None:
         yield (
-            f"the first ticket, it alone sets the scale ({alone:+.1f} %); compare it with the slip, and weigh a second load, "
+            f"as the first ticket, it alone sets the scale ({alone:+.1f} %); compare it with the slip, and weigh a second load, "
             "which confirms or contradicts it"
         )
 

@@ -36,7 +36,7 @@ def delays_and_crops(table: HarvestTable, machines: Sequence[Machine], *, transp
         if machine.flow.decision is Decision.CANNOT_TELL
     ]
     if transport_left and len(machines) > 1:
-        out.append("the transport is not looked at: the machines' delays differ or are not known")
+        out.append("the transport is not estimated: the machines' delays differ or are not known")
     crops = crops_of(table)
     if len(crops) > 1:
         out.append(f"the harvest has {len(crops)} crops ({', '.join(crops)}): yield and total are of all together")
@@ -78,8 +78,8 @@ def doubts(table: HarvestTable, totals: Totals, cleaned: Cleaned) -> tuple[str, 
     if pauses and np.isin(cleaned.reason, twice).sum() >= _SAME_GROUND * len(table):
         first, last = (str(np.datetime64(int(day), "D")) for day in (days[0], days[-1]))
         out.append(
-            f"the harvest has {pauses + 1} seasons from {first} to {last} on the same ground, which counts as cut in the first: "
-            "expected a map for each"
+            f"the harvest has {pauses + 1} seasons from {first} to {last} on the same ground, which counts as cut in the first "
+            "only; expected a map for each"
         )
     return tuple(out)
 

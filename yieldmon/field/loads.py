@@ -261,7 +261,7 @@ def _held(ticket: WeighedTicket, loads: _Loads, measured: Array) -> tuple[int, .
     """The loads with grain that a ticket is for. Raises InputError where there is none."""
     held = [load for numbers in _numbers_of(ticket, loads.names) for load in _held_by(ticket, numbers, loads)]
     if not float(sum(measured[load] for load in held)) > 0:
-        raise InputError(f"ticket of load {ticket.name!r}", "is of a load that measured nothing", "a load with grain")
+        raise InputError(f"ticket of load {ticket.name!r}", "is for a load without measured mass", "a load with grain")
     return tuple(load for load in held if measured[load] > 0)
 
 
@@ -281,7 +281,7 @@ def _held_by(ticket: WeighedTicket, numbers: Sequence[int], loads: _Loads) -> li
     where = f"ticket of load {ticket.name!r}"
     held = [load for load, (name, _) in enumerate(loads.of) if name in numbers]
     if not held:
-        raise InputError(where, "is of a load that measured nothing", "a load with grain")
+        raise InputError(where, "is for a load without measured mass", "a load with grain")
     if loads.together.issuperset(numbers):
         return held
     if ticket.machine:

@@ -50,7 +50,7 @@ def listen(path: Path, group: str | None) -> Listening:
         if _answers(path):
             raise OccupiedError("status.socket", f"{path}: a daemon is running there", "a socket for each daemon")
         if path.is_file() and not path.is_symlink():
-            raise InputError("status.socket", f"{path}: is a file; it is left as it is", "a path that can be bound")
+            raise InputError("status.socket", f"{path}: is a file, which is not replaced", "a path for a socket")
         path.unlink(missing_ok=True)
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -72,7 +72,7 @@ def listen(path: Path, group: str | None) -> Listening:
         # Without a number: a path that is too long for a socket's address.
         if error.errno is None or error.errno in _WRONG_PATH:
             problem = f"{path}: {reason(error)}"
-            raise InputError("status.socket", problem, "a path that can be bound") from error
+            raise InputError("status.socket", problem, "a path for a socket") from error
         if error.filename is None:
             # bind() does not say what it was asked to bind.
             raise OSError(error.errno, error.strerror, str(path)) from error

@@ -219,7 +219,9 @@ class Daemon:
         note = f"the disk answered {age_s:.0f} s after the start"
         if kept.full:
             more = without.totals
-            note += f"; {more.total_kg:.1f} kg from {kept.duration_s:.0f} s after it on are in the totals, without records"
+            note += (
+                f"; {more.total_kg:.1f} kg measured after the first {kept.duration_s:.0f} s are in the totals, without records"
+            )
             measuring.add(self.configuration, more)
             self._store.note = "; ".join(part for part in (recovery.note, note) if part)
         _log.warning("%s: %s", self._store.path, note)
@@ -394,7 +396,7 @@ class Daemon:
         self.configuration = new
         self._bus.use(new)
         logging.getLogger("yieldmon").setLevel(new.document.logging.level.upper())
-        said = [f"{', '.join(later)} will be at the next start"] if later else []
+        said = [f"{', '.join(later)} will be taken at the next start"] if later else []
         return [*said, *self._measuring.of_another_crop]
 
     def _snapshot(self) -> Answer:

@@ -63,7 +63,7 @@ class MetricsFile:
         if self._path is not None and self.alive:
             self._thread.join(_STOP_S)
             if self.alive:
-                _log.warning("metrics: %s: the disk hangs; the file stays", self._path)
+                _log.warning("metrics: %s: the disk hangs; the file is left in place", self._path)
 
     @staticmethod
     def _take_away(path: Path) -> None:

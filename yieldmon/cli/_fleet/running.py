@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     for path in found.left_out[:_MOST_LEFT_OUT]:
         _say(f"{path}: left out, {_why_left_out(path)}")
     if (more := len(found.left_out) - _MOST_LEFT_OUT) > 0:
-        _say(f"{more} more left out, hold no log of a day (`left_out` of --json has them)")
+        _say(f"{more} more left out: they hold no log of a day (`left_out` of --json has them)")
     _say_alike(found.partitions)
     dataset = Dataset(args.out)
     configurations = _configurations(found.partitions, args)
@@ -145,7 +145,8 @@ def _say_alike(partitions: Sequence[Partition]) -> None:
         alike.setdefault(partition.machine.casefold(), {})[partition.machine] = None
     for names in alike.values():
         if len(names) > 1:
-            _say(f"{' and '.join(names)} differ only in capitals and count as {len(names)} machines; one machine takes one name")
+            count = f"differ only in upper and lower case and count as {len(names)} machines"
+            _say(f"{' and '.join(names)} {count}; use one name for one machine")
 
 
 def _say_what_is_left(dataset: Dataset, partitions: Sequence[Partition]) -> None:

@@ -95,7 +95,7 @@ def said(request: Mapping[str, Any], answer: Mapping[str, Any]) -> str:
             taken = f"ticket for load {answer['first_load']} taken: {change_pct:+.1f} % against what was measured"
             doubt = f"; {answer['question']}: is it right?" if answer.get("question") else ""
             if answer.get("sets_scale_pct") is not None:
-                doubt += "; the first, it alone sets the scale: weigh a second load"
+                doubt += "; as the first, it alone sets the scale: weigh a second load"
             if answer.get("replaces"):
                 doubt += "; it replaces the one before: of a load weighed in parts enter the sum"
             if without := answer.get("without_ticket"):

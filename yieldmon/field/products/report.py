@@ -159,7 +159,7 @@ def _points(result: HarvestMap) -> dict[str, Any]:
         "step_t_ha": step,
         "bounds": bounds,
         "spacing_m": float(np.sqrt(np.median(gross))) * np.sqrt(every) if gross.size else 3.0,
-        "thinned": "" if every == 1 else f"Every {every}th of {len(known)} points is drawn; tables and totals are of all.",
+        "thinned": "" if every == 1 else f"Every {every}th of {len(known)} points is drawn; tables and totals include all.",
     }
 
 

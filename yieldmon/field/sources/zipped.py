@@ -86,7 +86,7 @@ class _Found:
     def look(self, path: Path, name: str, depth: int = 0) -> None:
         """Into a folder or a zip, which is unpacked."""
         if depth > MAX_DEPTH:
-            self.skipped.append(Skipped(brief(name), f"is over {MAX_DEPTH} folders or zips deep"))
+            self.skipped.append(Skipped(brief(name), f"is nested more than {MAX_DEPTH} folders or zips deep"))
         elif path.is_dir():
             self._folder(path, name, depth)
         else:

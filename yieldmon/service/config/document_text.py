@@ -59,7 +59,7 @@ def _instead_of(key: str, model: type[BaseModel]) -> str:
     """What was expected in the place of a key that the section `model` does not have."""
     plain = "".join(c for c in key if c.isascii() and c.isprintable()).strip()
     if plain in model.model_fields:
-        return f"{plain}, in plain letters (what stands there has characters that look the same or are not seen)"
+        return f"{plain}, in plain letters (it has characters that look alike or are invisible)"
     near = difflib.get_close_matches(key, list(model.model_fields), n=1)
     if near:
         return near[0]

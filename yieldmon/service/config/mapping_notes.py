@@ -65,7 +65,7 @@ def notes(configuration: Configuration) -> list[str]:
     if "impact_force" in configuration.document.signals:
         gain = configuration.machine.sensor.gain_n_per_mv
         found.append(
-            f"impact_force is taken as the bus has it: gain_n_per_mv of the machine file ({gain:.4g}) does not act on it; where "
+            f"impact_force is taken as the bus has it: gain_n_per_mv of the machine file ({gain:.4g}) does not apply to it; if "
             "weights hung on the plate gave that gain, bind impact_voltage with unit: mV to the same signals"
         )
     if configuration.engine.plate.fixed_angle_deg is not None:

@@ -82,7 +82,7 @@ def _unless(binding: Binding, extraction: Extraction, use: _Use, into: float = 1
     if reaches(extraction, use.usable):
         return None
     if binding.low is not None and reaches(without_range(extraction), use.usable):
-        return binding.refuse("range", f"[{binding.low:g}, {binding.high:g}] lets through no value that is of use", use.said)
+        return binding.refuse("range", f"[{binding.low:g}, {binding.high:g}] admits no usable value", use.said)
     values = values_in_reach(without_range(extraction)) / into
     unit = IMPACT[binding.quantity] if binding.is_impact else QUANTITIES[binding.quantity].unit
     ends = " to ".join(f"{end:.6g}" for end in dict.fromkeys((values.min(), values.max()))) if values.size else "no value"

@@ -16,7 +16,7 @@ def at_next_start(start: Configuration, new: Configuration) -> list[str]:
     used before."""
     for name in ("signals", "outputs"):
         if getattr(new, name) != getattr(start, name):
-            raise InputError(name, "changed with the service running", "a restart: the bus is filtered for them")
+            raise InputError(name, "changed while the service runs", "a restart, since the bus is filtered for it")
     return [name for name in _FIXED_AT_START if getattr(new.document, name) != getattr(start.document, name)]
 
 

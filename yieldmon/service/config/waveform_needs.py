@@ -35,7 +35,7 @@ def notes(configuration: Configuration) -> list[str]:
     if not settings.enabled:
         return []
     if len(sources) != 1:
-        return [f"waveform.enabled: {len(sources)} impact sensors carry the plate: neither shape nor kernel noise is looked at"]
+        return [f"waveform.enabled: {len(sources)} impact sensors carry the plate: neither shape nor kernel noise is evaluated"]
     found, rate_hz = [], sources[0].rate_hz
     if rate_hz < SEGMENT:
         return [
@@ -44,8 +44,8 @@ def notes(configuration: Configuration) -> list[str]:
         ]
     if not sensor.response_s > 0.0:
         found.append(
-            "waveform.enabled: sensor.response_s of the machine file is 0, a cell without lag; a lag that is there is taken for "
-            "more grain (yieldmon calibrate --taps finds it)"
+            "waveform.enabled: sensor.response_s of the machine file is 0, a cell without lag; a real lag is measured as extra "
+            "grain (yieldmon calibrate --taps finds it)"
         )
     if sources[0].time_constant_s > 0.0:
         found.append(

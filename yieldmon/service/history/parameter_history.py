@@ -237,15 +237,15 @@ class ParameterHistory:
         if change is None:
             raise InputError(where, "no such calibration", "a version that `yieldmon calibrations list` shows")
         if version in history.undone_versions:
-            raise InputError(where, "is undone already", "one that stands")
+            raise InputError(where, "is undone already", "one that is not undone")
         if change.document.get("origin") == ledgers.CROP:
             raise InputError(where, "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         gone = history.updates_gone_with(version)
         if gone:
             raise InputError(
                 where,
-                f"is an undo, and what it took back rests on ticket {', '.join(map(str, gone))}, which updates no parameters now",
-                f"the mass once more if it is right: `yieldmon ticket {history.as_entered(gone[0])}`",
+                f"is an undo; what it took back used ticket {', '.join(map(str, gone))}, which no longer updates the parameters",
+                f"the ticket entered anew, if it is right: `yieldmon ticket {history.as_entered(gone[0])}`",
             )
         if int(change.document.get("from_version", 0)) not in self._versions:
             raise InputError(where, "the parameters before it are not known", "a later version")

@@ -82,7 +82,7 @@ def recover(path: Path, retention: Retention, open_store: Callable[[], Store], c
             # Numbers go on, or an older copy put back later would look like the newer one.
             memory = replace(memory, last_batch=last_batch + missing)
         if are_two(found.identity, last_noted_store(path)):
-            notes.append(f"it is another store than was written here: {_ANOTHERS}")
+            notes.append(f"it is not the store that was written here: {_ANOTHERS}")
         if are_two(computer, found.computer):
             notes.append(f"it was last written on another computer: {_ANOTHERS}")
         for note in notes:
@@ -110,7 +110,7 @@ def _made_ready(path: Path) -> list[str]:
 def _doubts(last_batch: int, missing: int) -> list[str]:
     """What the number of commits says against a store; missing: commits made here that it lacks, below 0 where it has more."""
     if missing > 0:
-        return [f"its last {missing} commits are missing; of an older copy that was put in its place that is right"]
+        return [f"its last {missing} commits are missing, as expected if an older copy was put in its place"]
     if 0 < last_batch + missing < last_batch - _UNNOTED_AT_MOST:
         return [f"it has {-missing} commits more than were made here: {_ANOTHERS}"]
     return []

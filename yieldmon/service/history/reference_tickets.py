@@ -73,5 +73,5 @@ def _zero_unknown(covered: Sequence[Load]) -> str:
         zero_kg = 0.0 if load.budget is None else load.budget.zero_kg
         if zero_kg > _LARGEST_ZERO_SHARE * load.mass_kg:
             share = 100.0 * zero_kg / load.mass_kg
-            return f"the zero was wrong or too old for load {load.number}: its mass may be off by {share:.0f} % for that"
+            return f"the zero was wrong or too old for load {load.number}: its mass may be off by {share:.0f} % because of it"
     return ""

@@ -77,7 +77,7 @@ def _load_start(order: Order) -> LoadStarted:
     request = order.request
     weight_g = request.mass_or_none("thousand_kernel_weight_g", *THOUSAND_KERNELS_G, "g")
     if weight_g is not None and monitor.waveform is None:
-        raise InputError("thousand_kernel_weight_g", "is of no use", "waveform.enabled: true in the configuration")
+        raise InputError("thousand_kernel_weight_g", "has no effect", "waveform.enabled: true in the configuration")
     field, crop = request.name("field"), _crop_named(request, journal)
     if weight_g is not None or (crop is not None and crop != journal.crop):
         # What was entered for one crop's kernels does not hold for another's.

@@ -180,7 +180,9 @@ def _weighed(request: Request) -> tuple[SharedTruck | None, TicketMass]:
     if std_dev_kg is None:
         std_dev_kg = ticket_file.RELATIVE_STD_DEV * weighed_kg
     if std_dev_kg > weighed_kg:
-        raise InputError("std_dev_kg", f"is {std_dev_kg:g} kg, of {weighed_kg:g} kg", "that of the weighing, below its mass")
+        raise InputError(
+            "std_dev_kg", f"is {std_dev_kg:g} kg, of {weighed_kg:g} kg", "the standard deviation of the weighing, below the mass"
+        )
     truck = _shared_truck(request, weighed_kg)
     if truck is None:
         return None, TicketMass(weighed_kg, std_dev_kg)
@@ -195,7 +197,7 @@ def _shared_truck(request: Request, weighed_kg: float) -> SharedTruck | None:
     std_dev_kg = request.mass_or_none("other_std_dev_kg", *TICKET_KG, "kg")
     if other_kg is None:
         if std_dev_kg is not None:
-            raise InputError("other_std_dev_kg", "is of nothing", "other_kg with it")
+            raise InputError("other_std_dev_kg", "is given without other_kg", "both")
         return None
     return SharedTruck(weighed_kg, other_kg, ticket_file.OTHER_RELATIVE_STD_DEV * other_kg if std_dev_kg is None else std_dev_kg)
 
@@ -303,4 +305,4 @@ def _question(ticket: Ticket, departs: ticket_doubt.Departure | None, order: Ord
     # A scale that one ticket alone has set is no better than that ticket.
     if not (asked and alone):
         return asked
-    return f"{asked}; or ticket {alone[-1]}, the only one before it, is the wrong one (`yieldmon ticket undo {alone[-1]}`)"
+    return f"{asked}; or ticket {alone[-1]}, the only one before it, is wrong (`yieldmon ticket undo {alone[-1]}`)"

@@ -223,11 +223,11 @@ function answerOf(name, answer) {
     const asked = answer.question || (Math.abs(off) > UNLIKELY_PCT ? "That is a lot" : "");
     const doubt = asked ? ` ${asked}; if it is a slip, enter the right mass as another ticket.` : "";
     const first = answer.sets_scale_pct == null ? "" : " It is the first and alone sets the scale: weigh a second load.";
-    const replaced = answer.replaces?.length ? ` ${named("Ticket", answer.replaces)} stood for it; the newer one counts (of a load weighed in parts enter the sum).` : "";
+    const replaced = answer.replaces?.length ? ` It replaces ${named("ticket", answer.replaces)} (of a load weighed in parts enter the sum).` : "";
     const left = answer.without_ticket?.length ? ` ${named("Load", answer.without_ticket)} ${answer.without_ticket.length > 1 ? "have" : "has"} no ticket any more.` : "";
     const of = answer.waits_for_crop;
     const use = !answer.is_reference ? `no reference for the calibration: ${answer.why_no_reference}`
-      : of ? `a reference for ${of}, which learns once it is harvested again` : "a reference for the calibration";
+      : of ? `a reference for ${of}, whose parameters it updates once that is harvested again` : "a reference for the calibration";
     const masses = `Measured ${mass(answer.measured_mass_kg)} ${units.mass.name}, weighed ${mass(answer.weighed_mass_kg)} ${units.mass.name}`;
     const truck = answer.truck ? ` Of the truck, ${mass(answer.truck.truck_kg - answer.weighed_mass_kg)} ${units.mass.name} are of the other combine.` : "";
     return `${masses} (${number(change, 2)} %); ${use}.${truck}${replaced}${left}${first}${doubt}`;

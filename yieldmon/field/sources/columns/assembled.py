@@ -82,12 +82,12 @@ def assemble(raw: Raw, where: str, kind: str, options: ReadOptions) -> HarvestTa
     distance_notes = distances_checked(raw, values, time)
     if "mass" in values and (each := each_of_a_sum(raw, values["mass"], time)) is not None:
         values["mass"] = each
-        distance_notes += (f"{raw.columns['mass'].name} is a sum that goes on: its differences are the masses",)
+        distance_notes += (f"{raw.columns['mass'].name} is a running total: its differences are used as masses",)
     derived = derive(values, time, raw.machine_of_row, where)
     columns, limits = plausible({"time_s": time} | {_TABLE_NAMES[q]: v for q, v in values.items() if q in _TABLE_NAMES})
     lost = [name for name in REQUIRED if name in columns and not np.isfinite(columns[name]).any()]
     if lost and limits and raw.count:
-        raise InputError(where, f"can be no harvest: {limits[0]}", "other units (--column)")
+        raise InputError(where, f"cannot be a harvest: {limits[0]}", "other units (--column)")
     if "header_down" in columns:
         columns["header_down"], heights = down_of(columns["header_down"], header.name if header else "header")
         strange += heights

@@ -50,7 +50,7 @@ def distances_checked(raw: Raw, values: dict[str, Array], time_s: Array) -> tupl
         each = each_of_a_sum(raw, values["distance"], time_s)
         if each is not None and _straight(raw, (x_m, y_m), each, time_s) is not None:
             values["distance"] = each
-            notes.append(f"{raw.columns['distance'].name} is a sum that goes on: its differences are the distances")
+            notes.append(f"{raw.columns['distance'].name} is a running total: its differences are used as distances")
     interval_s = values.get("interval", _steps(raw, time_s))
     driven = {"distance": values["distance"]} if "distance" in values else {"speed": values["speed"] * interval_s}
     for quantity, distance_m in driven.items():

@@ -82,9 +82,9 @@ def without_contradicted_states(table: HarvestTable) -> HarvestTable:
         mine = (table.source_of_row == place) & np.isfinite(header)
         up = mass_kg[mine & (header == 0)].sum() / max(mass_kg[mine].sum(), 1e-9)
         if mine.sum() >= _LEAST_ROWS and up > _MOST_UP:
-            note = f"{100 * up:.0f} % of the grain is measured while the header is said to be up: that is not used"
+            note = f"{100 * up:.0f} % of the grain is measured while the header status is up: the status is not used"
         elif mine.any() and header[mine].all() and (turns := _turns_with_header_down(table, mine)):
-            note = f"the header is said to be down in all {turns} turns, where no grain comes: that is not used"
+            note = f"the header status is down in all {turns} turns, where no grain comes: the status is not used"
         else:
             continue
         sources[place] = replace(source, notes=(*source.notes, note))

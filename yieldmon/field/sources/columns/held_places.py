@@ -58,5 +58,5 @@ def between_fixes(
     step_east = wrapped_deg(east[latter] - east[former])
     out_east[order[between]] = wrapped_deg(east[first[place]] + share * step_east)
     out_north[order[between]] = north[first[place]] + share * (north[latter] - north[former])
-    note = f"places stay for {usual_s:.3g} s, longer than rows do: {len(between)} rows are placed between them"
+    note = f"places stay for {usual_s:.3g} s, longer than the rows last: {len(between)} rows are interpolated between them"
     return out_east, out_north, (note,)
