@@ -128,7 +128,7 @@ class _CountingDaemon(Daemon):
     @property
     def reload_note(self) -> str:
         """Of the last reload."""
-        return self._reloads.note
+        return self._reloading.note
 
     def written(self, timeout_s: float) -> bool:
         """Whether all records are in the store within timeout_s."""

@@ -36,7 +36,6 @@ from yieldmon.service.operator.control_protocol import Answer, ControlError
 from yieldmon.service.operator.snapshot import snapshot
 from yieldmon.service.preloading import preload
 from yieldmon.service.reloading import Reloading
-from yieldmon.service.reloads import Reloads
 from yieldmon.service.storage.writer import StoreWriter
 from yieldmon.service.supervision import Supervisor, ended, require_alive
 from yieldmon.service.timeouts import DEFAULT, Timeouts
@@ -68,7 +67,7 @@ class Daemon:
         self.configuration = configuration
         self._at_start = configuration
         self._manager = ServiceManager(environment)
-        self._reloads = Reloads(Reloading(reload, timeouts.reload_s))
+        self._reloading = Reloading(reload, timeouts.reload_s)
         self._bus = BusNode(
             configuration,
             bus_factory=bus_factory,
@@ -258,13 +257,13 @@ class Daemon:
         between_windows = bool(windows or not (items or asked))
         if self._store.answers and between_windows:
             self._take_late_store()
-        if self._reload_wanted and not self._reloads.under_way:
+        if self._reload_wanted and not self._reloading.under_way:
             # Before the reading: what is written from now on may need another one.
             self._reload_wanted = False
             self._manager.reloading()
-            self._reloads.begin()
+            self._reloading.begin()
         # Between two windows a new monitor has least to miss; a quiet bus has none.
-        if between_windows and self._reloads.due:
+        if between_windows and self._reloading.due:
             self._do_reload()
         require_alive(self._threads())
 
@@ -381,7 +380,7 @@ class Daemon:
         self._remeasuring.start_next(journal, self.monitor)
 
     def _do_reload(self) -> None:
-        self._reloads.take(self._use)
+        self._reloading.take(self._use)
         self._answer = self._snapshot()
         self._manager.ready()
 
@@ -410,8 +409,8 @@ class Daemon:
             traffic=self._bus.traffic(),
             store=self._writer.health(),
             store_note=self._store.note,
-            reload_note=self._reloads.note,
-            reloads=self._reloads.count,
+            reload_note=self._reloading.note,
+            reloads=self._reloading.count,
             uptime_s=monotonic() - self._started_s,
             network=self._bus.network_status(),
         )

@@ -3,15 +3,14 @@ meanwhile is measured again from what the store remembers when the disk answers.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from dataclasses import replace
 from time import monotonic
 
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result
 from yieldmon.frames import Frame
+from yieldmon.service.answering import on_a_thread
 from yieldmon.service.history.memory import Memory
 from yieldmon.service.history.recovery import Recovery
 
@@ -30,16 +29,8 @@ class StoreReading:
     """
 
     def __init__(self, read: Callable[[], Recovery]) -> None:
-        self._reading: Future[Recovery] = Future()
         self._begun_s = monotonic()
-
-        def body() -> None:
-            try:
-                self._reading.set_result(read())
-            except BaseException as error:  # noqa: BLE001 - handed to the engine's thread
-                self._reading.set_exception(error)
-
-        threading.Thread(target=body, name="store-reading", daemon=True).start()
+        self._reading = on_a_thread(read, "store-reading")
 
     @property
     def done(self) -> bool:
