@@ -10,7 +10,7 @@ from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
 from yieldmon.estimation.estimators import estimator_of
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files.crops import crops
+from yieldmon.files.crops import find_crop
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.config.configuration import Configuration
@@ -81,12 +81,20 @@ def build_monitor(
     monitor = Monitor(
         settings, machine, estimator, self_calibrator, sources=sources, drives_plate=drives_plate, waveform_later=waveform_later
     )
-    known = crops().get(parameters.provenance.get("crop", ""))
+    set_grain(monitor, parameters.provenance.get("crop", ""))
+    return monitor
+
+
+def set_grain(monitor: Monitor, crop: str, entered_kernel_weight_g: float | None = None) -> None:
+    """Dry mass from now on at the market moisture of a crop, "" where none is known, and the weight of its kernels.
+
+    entered_kernel_weight_g: of a thousand kernels, g, as an operator entered it; None: as the settings have it.
+    """
+    known, waveform = find_crop(crop), monitor.settings.waveform
     if known is not None:
         monitor.set_market_moisture(known.market_moisture_pct)
-    if (weight_g := settings.waveform.thousand_kernel_weights_g.get(parameters.provenance.get("crop", ""))) is not None:
-        monitor.set_kernel_weight(weight_g)
-    return monitor
+    configured_g = waveform.thousand_kernel_weights_g.get(crop, waveform.thousand_kernel_weight_g)
+    monitor.set_kernel_weight(configured_g if entered_kernel_weight_g is None else entered_kernel_weight_g)
 
 
 def calibration_age_s(parameters: ParameterSet, now_s: float) -> float | None:

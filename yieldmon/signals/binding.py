@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, with_identifier
+from yieldmon.bus.databases import SOUND_MESSAGE, MessageBits, SignalBits, with_identifier
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.errors import InputError
 from yieldmon.network.name import NameMatch
@@ -24,6 +24,8 @@ _LOOKS = 1000
 
 Source = str | int | NameMatch | None
 """None: as the DBC's identifier says; "any"; an address; the NAME of a node."""
+Refuse = Callable[[str, str, str], InputError]
+"""Makes the error that names a key of a binding: key, problem, what was expected; see `Binding.refuse`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +75,8 @@ class Binding:
         return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
 
 
-def named_message(
-    name: str, dbc: str | None, messages: Mapping[str, MessageBits], refuse: Callable[[str, str, str], InputError]
-) -> MessageBits:
-    """The message that a binding names. dbc: for the error; "" or None: the shipped one. refuse: see `Binding.refuse`.
+def named_message(name: str, dbc: str | None, messages: Mapping[str, MessageBits], refuse: Refuse) -> MessageBits:
+    """The message that a binding names. dbc: for the error; "" or None: the shipped one.
 
     Raises InputError where it is not among the messages, or contradicts itself.
     """
@@ -88,6 +88,21 @@ def named_message(
     if message.contradiction:
         raise refuse("message", f"in {named}: {message.contradiction}", SOUND_MESSAGE)
     return message
+
+
+def named_signal(name: str, key: str, message: MessageBits, refuse: Refuse) -> SignalBits:
+    """The signal of a message that a key of a binding names. Raises InputError where the message has none of that name."""
+    signal = message.signals.get(name)
+    if signal is None:
+        near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
+        raise refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
+    return signal
+
+
+def check_source(source: Source, message: MessageBits, refuse: Refuse) -> None:
+    """Raises InputError for the source of a message whose identifier carries none."""
+    if source is not None and not message.extended:
+        raise refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
 
 
 def check_quantity(name: str, where: str) -> None:

@@ -6,7 +6,6 @@ the group's name whose signals are the quantities, in the quantities' own units.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -16,7 +15,7 @@ from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS
 from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import RPM, Machine
-from yieldmon.signals.binding import IMPACT, Binding, Source, check, named_message
+from yieldmon.signals.binding import IMPACT, Binding, Source, check, check_source, named_message, named_signal
 from yieldmon.signals.extraction import Extraction, named_no_value
 from yieldmon.signals.units import accepted, factor, period_s, zero
 
@@ -194,16 +193,12 @@ def _message(binding: Binding, messages: Mapping[str, MessageBits]) -> MessageBi
     if message.length > longest:
         problem = f"{message.name} has {message.length} bytes"
         raise binding.refuse("message", problem, f"at most {longest} bytes, as {of_what} carries them with its identifier")
-    if binding.source is not None and not message.extended:
-        raise binding.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
+    check_source(binding.source, message, binding.refuse)
     return message
 
 
 def _named(binding: Binding, message: MessageBits, name: str, key: str) -> SignalBits:
-    signal = message.signals.get(name)
-    if signal is None:
-        near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
-        raise binding.refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
+    signal = named_signal(name, key, message, binding.refuse)
     if not signal.readable:
         problem = f"{name} has {signal.bits} bits from bit {signal.shift} of its first byte on"
         raise binding.refuse(key, problem, "a number that lies within eight bytes")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees
@@ -20,7 +19,7 @@ from yieldmon.network.identifier import (
 )
 from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.physics.machine import Machine
-from yieldmon.signals.binding import named_message
+from yieldmon.signals.binding import check_source, named_message, named_signal
 from yieldmon.signals.mapping import Load, SignalMap, any_of, any_source
 from yieldmon.signals.packing import Packing, encoded, span
 from yieldmon.signals.published import PUBLISHED, Published
@@ -168,10 +167,7 @@ def _message(binding: OutputBinding, messages: Mapping[str, MessageBits]) -> Mes
 
 
 def _signal(binding: OutputBinding, message: MessageBits, name: str, key: str = "signal") -> SignalBits:
-    signal = message.signals.get(name)
-    if signal is None:
-        near = difflib.get_close_matches(name, message.signals, n=3) or list(message.signals)[:5]
-        raise binding.refuse(key, f"{name} is not in {message.name}", f"one of its signals, such as {', '.join(near)}")
+    signal = named_signal(name, key, message, binding.refuse)
     if name == message.multiplexer:
         raise binding.refuse(key, f"{name} is the multiplexer of {message.name}", "another signal; mux gives its value")
     if signal.mux_by not in (None, message.multiplexer):
@@ -277,8 +273,7 @@ def _group(draft: _Draft, network: bool) -> OutputGroup:
     own = first.source == OWN or (
         first.source is None and message.extended and (message.j1939 or message.frame_id & SOURCE_MASK == NULL_ADDRESS)
     )
-    if first.source is not None and not message.extended:
-        raise first.refuse("source", f"{message.name} has an 11-bit identifier", "no source; only 29-bit identifiers carry one")
+    check_source(first.source, message, first.refuse)
     if network and isinstance(first.source, int):
         raise first.refuse("source", f"{first.source}", "own, the address that we claim, or network.enabled: false")
     frame_id = message.frame_id

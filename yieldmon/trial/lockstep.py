@@ -38,28 +38,29 @@ def run(combine: VirtualCombine, monitor: Monitor, codec: Codec, progress: Progr
     channel = f"yieldmon-{uuid.uuid4()}"
     published: list[Frame] = []
     count = 0
-    told_s = 0.0
+    reported_s = 0.0
     with (
         can.Bus(channel, interface="virtual", preserve_timestamps=True) as combine_side,
         can.Bus(channel, interface="virtual", preserve_timestamps=True) as monitor_side,
     ):
         for sent in combine.frames_until(combine.scenario.duration_s):
-            combine_side.send(codec.encode(sent))
             count += 1
-            received = receive(monitor_side, 1.0)
-            frame = codec.decode(received) if received is not None else None
-            if frame is None:
-                raise RuntimeError(f"the virtual bus lost {sent.message} of {sent.time_s:.3f} s")
-            for answer in frames_in(monitor.feed(frame)):
-                monitor_side.send(codec.encode(answer))
-                back = receive(combine_side, 1.0)
-                heard = codec.decode(back) if back is not None else None
-                if heard is None:
-                    raise RuntimeError(f"the virtual bus lost {answer.message} of {answer.time_s:.3f} s")
+            for answer in frames_in(monitor.feed(_passed_on(sent, combine_side, monitor_side, codec))):
+                heard = _passed_on(answer, monitor_side, combine_side, codec)
                 count += 1
                 published.append(heard)
                 combine.handle(heard)
-            if progress is not None and sent.time_s - told_s >= 1.0:
-                told_s = sent.time_s
-                progress(told_s)
+            if progress is not None and sent.time_s - reported_s >= 1.0:
+                reported_s = sent.time_s
+                progress(reported_s)
     return Run(published, combine.truth, count)
+
+
+def _passed_on(frame: Frame, sender: can.BusABC, recipient: can.BusABC, codec: Codec) -> Frame:
+    """The frame as the other side of the bus decodes it. Raises RuntimeError where the bus loses it."""
+    sender.send(codec.encode(frame))
+    message = receive(recipient, 1.0)
+    received = codec.decode(message) if message is not None else None
+    if received is None:
+        raise RuntimeError(f"the virtual bus lost {frame.message} of {frame.time_s:.3f} s")
+    return received

@@ -15,8 +15,8 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.sources import THOUSAND_KERNELS_G
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
-from yieldmon.files.crops import crops, find_crop, misspelt, shipped_name
-from yieldmon.service.assembly import calibration_age_s
+from yieldmon.files.crops import crops, misspelt, shipped_name
+from yieldmon.service.assembly import calibration_age_s, set_grain
 from yieldmon.service.history import load_names, undo
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_loads import MOST_LOADS, StoredLoad
@@ -128,12 +128,7 @@ def _crop_named(request: Request, journal: Journal) -> str | None:
 
 def set_crop(monitor: Monitor, journal: Journal) -> None:
     """Dry mass from now on at the market moisture of the crop in use, and the weight of its kernels."""
-    crop, waveform = journal.crop_in_use(monitor.estimator.parameters), monitor.settings.waveform
-    known = find_crop(crop)
-    if known is not None:
-        monitor.set_market_moisture(known.market_moisture_pct)
-    configured_g = waveform.thousand_kernel_weights_g.get(crop, waveform.thousand_kernel_weight_g)
-    monitor.set_kernel_weight(configured_g if journal.kernel_weight_g is None else journal.kernel_weight_g)
+    set_grain(monitor, journal.crop_in_use(monitor.estimator.parameters), journal.kernel_weight_g)
 
 
 def _totals_reset(order: Order) -> Answer:
