@@ -20,22 +20,14 @@ from yieldmon.files.whole_file import scratch_folder_for, scratch_for
 
 from .points import YieldPoint
 
-FOLDER = "TASKDATA"
+FOLDER = task_data.FOLDER
 FILES = (task_data.MAIN_FILE, "TLG00001.xml", "TLG00001.bin")
 """In it, where all grain is of one field and crop."""
 
-ENTRIES = (
-    task_data.Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
-    task_data.Entry(ddi.MASS_PER_AREA, "Mass per area yield", "mg/m2"),
-    task_data.Entry(ddi.TOTAL_MASS, "Yield total mass", "kg", total=True),
-    task_data.Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
-    task_data.Entry(ddi.DRY_PER_AREA, "Dry mass per area yield", "mg/m2"),
-    task_data.Entry(ddi.DRY_PER_TIME, "Dry mass per time yield", "mg/s"),
-    task_data.Entry(ddi.DRY_TOTAL, "Yield total dry mass", "kg", total=True),
-    task_data.Entry(ddi.REFERENCE_MOISTURE, "Reference moisture for dry mass", "ppm"),
-    task_data.Entry(ddi.HOLD, "Yield hold status", ""),
-    task_data.Entry(ddi.WIDTH, "Actual working width", "mm"),
-)
+ENTRIES = task_data.entries_of(
+    ddi.MASS_PER_TIME, ddi.MASS_PER_AREA, ddi.TOTAL_MASS, ddi.MOISTURE, ddi.DRY_PER_AREA, ddi.DRY_PER_TIME, ddi.DRY_TOTAL,
+    ddi.REFERENCE_MOISTURE, ddi.HOLD, ddi.WIDTH,
+)  # fmt: skip
 _TOTALS = tuple(entry.ddi for entry in ENTRIES if entry.total)
 _LAST_DAY = 65_535
 _INDEX = {entry.ddi: index for index, entry in enumerate(ENTRIES)}

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from yieldmon import __version__, utc
-from yieldmon.data_dictionary import LATENCY
+from yieldmon import data_dictionary as ddi
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
 """Day 0 of a time log."""
 DAY_MS = 86_400_000
 """Of a time log's records, which count the days and milliseconds within them."""
-MAIN_FILE = "TASKDATA.XML"
+FOLDER, MAIN_FILE = "TASKDATA", "TASKDATA.XML"
 DEVICE, COMBINE = "DVC-1", "DET-1"
 """Identifiers of the combine as a device and as that device's one element."""
 SOFTWARE = "yieldmon"
@@ -33,6 +33,31 @@ class Entry:
     designator: str
     unit: str
     total: bool = False
+
+
+_ENTRIES = {
+    entry.ddi: entry
+    for entry in (
+        Entry(ddi.WIDTH, "Actual working width", "mm"),
+        Entry(ddi.MASS_PER_AREA, "Mass per area yield", "mg/m2"),
+        Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
+        Entry(ddi.TOTAL_MASS, "Yield total mass", "kg", total=True),
+        Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
+        Entry(ddi.TOTAL_AREA, "Total area", "m2", total=True),
+        Entry(ddi.WORK_STATE, "Actual work state", ""),
+        Entry(ddi.LATENCY, "Actual value time latency", "ms"),
+        Entry(ddi.DRY_PER_AREA, "Dry mass per area yield", "mg/m2"),
+        Entry(ddi.DRY_PER_TIME, "Dry mass per time yield", "mg/s"),
+        Entry(ddi.DRY_TOTAL, "Yield total dry mass", "kg", total=True),
+        Entry(ddi.REFERENCE_MOISTURE, "Reference moisture for dry mass", "ppm"),
+        Entry(ddi.HOLD, "Yield hold status", ""),
+    )
+}
+
+
+def entries_of(*numbers: int) -> tuple[Entry, ...]:
+    """The entries with these identifiers, in this order."""
+    return tuple(_ENTRIES[number] for number in numbers)
 
 
 @dataclass(frozen=True)
@@ -106,7 +131,9 @@ def add_combine(root: ET.Element, entries: Sequence[Entry], latency_ms: int | No
         attributes = {"A": str(10 + index), "B": f"{entry.ddi:04X}", "C": "0", "D": method, "E": entry.designator}
         ET.SubElement(device, "DPD", attributes | ({"F": str(50 + index)} if entry.unit else {}))
     if latency_ms is not None:
-        ET.SubElement(device, "DPT", A=_LATENCY_OBJECT, B=f"{LATENCY:04X}", C=str(latency_ms), D="Actual value time latency")
+        ET.SubElement(
+            device, "DPT", A=_LATENCY_OBJECT, B=f"{ddi.LATENCY:04X}", C=str(latency_ms), D=_ENTRIES[ddi.LATENCY].designator
+        )
     for index, entry in enumerate(entries):
         if entry.unit:
             ET.SubElement(device, "DVP", A=str(50 + index), B="0", C="1", D="0", E=entry.unit)
@@ -116,8 +143,8 @@ def add_task(root: ET.Element, key: str, title: str, field_key: str, log: Log) -
     """A task that is done, with its one time log, into the root."""
     task = ET.SubElement(root, "TSK", A=key, B=title, E=field_key, G="4")
     time = ET.SubElement(task, "TIM", A=utc.text(log.first), B=utc.text(log.last), C=str(log.duration_s), D="4")
-    for ddi, value in log.totals.items():
-        ET.SubElement(time, "DLV", A=f"{ddi:04X}", B=str(value), C=COMBINE)
+    for number, value in log.totals.items():
+        ET.SubElement(time, "DLV", A=f"{number:04X}", B=str(value), C=COMBINE)
     ET.SubElement(task, "DAN", A=_CLIENT_NAME, C=DEVICE)
     ET.SubElement(task, "TLG", A=log.name, B=str(len(log.content)), C="1")
 

@@ -23,15 +23,8 @@ from yieldmon.units import S_PER_DAY
 
 from . import FILES
 
-ENTRIES = (
-    task_data.Entry(ddi.WIDTH, "Actual working width", "mm"),
-    task_data.Entry(ddi.MASS_PER_AREA, "Mass per area yield", "mg/m2"),
-    task_data.Entry(ddi.MASS_PER_TIME, "Mass per time yield", "mg/s"),
-    task_data.Entry(ddi.TOTAL_MASS, "Yield total mass", "kg", total=True),
-    task_data.Entry(ddi.MOISTURE, "Crop moisture", "ppm"),
-    task_data.Entry(ddi.TOTAL_AREA, "Total area", "m2", total=True),
-    task_data.Entry(ddi.WORK_STATE, "Actual work state", ""),
-    task_data.Entry(ddi.LATENCY, "Actual value time latency", "ms"),
+ENTRIES = task_data.entries_of(
+    ddi.WIDTH, ddi.MASS_PER_AREA, ddi.MASS_PER_TIME, ddi.TOTAL_MASS, ddi.MOISTURE, ddi.TOTAL_AREA, ddi.WORK_STATE, ddi.LATENCY
 )
 _NAMELESS = "field"
 """Name of one that has none."""
@@ -48,7 +41,7 @@ def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
     path = folder / FILES["taskdata"][0]
     with scratch_for(path) as scratch, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, data in content.items():
-            archive.writestr(zipfile.ZipInfo(f"TASKDATA/{name}"), data, zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(f"{task_data.FOLDER}/{name}"), data, zipfile.ZIP_DEFLATED)
     return [path]
 
 

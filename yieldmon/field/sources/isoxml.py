@@ -33,7 +33,7 @@ from yieldmon.field.copies import without_copies
 from yieldmon.field.leaps import bridged
 from yieldmon.field.plane import astray, places_m
 from yieldmon.field.table import DEFAULT_FLOW_S, FORAGE_FLOW_S, Array, HarvestTable, Label, Skipped, Source, build, joined
-from yieldmon.files.task_data import MAIN_FILE, SOFTWARE
+from yieldmon.files.task_data import FOLDER, MAIN_FILE, SOFTWARE
 
 from .columns.crop_names import crop_names
 from .columns.positions import plausible
@@ -113,7 +113,7 @@ def _folder_and_file(name: str) -> tuple[str, str]:
 
 
 def _task_folder(path: Path) -> Path | None:
-    for folder in (path, *sorted(child for child in path.iterdir() if child.is_dir() and child.name.upper() == "TASKDATA")):
+    for folder in (path, *sorted(child for child in path.iterdir() if child.is_dir() and child.name.upper() == FOLDER)):
         if any(is_task_member(child.name) for child in folder.iterdir() if child.is_file()):
             return folder
     return None
