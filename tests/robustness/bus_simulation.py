@@ -52,8 +52,9 @@ from yieldmon.network.node import Node, NodeSettings
 from yieldmon.service.assembly import monitor_of
 from yieldmon.service.config import configuration
 from yieldmon.service.storage.writer import StoreHealth
+from yieldmon.service.traffic.echoes import ASKED_ECHO_S, ECHO_S, Echoes
 from yieldmon.service.traffic.service_faults import ServiceFaults
-from yieldmon.service.traffic.transmit import ASKED_ECHO_S, ECHO_S, TransmitCounters, Transmitter
+from yieldmon.service.traffic.transmit import TransmitCounters, Transmitter
 
 EMPTY_S, HARVEST_S = 14, 22
 _SAID_S = 2.2
@@ -267,7 +268,7 @@ def repeated(rng: random.Random) -> None:
         _sends(sender)
         copied = number > 60 and rng.random() < 0.5
         now_s += 0.002
-        foreign = sum(not sender.is_echo(one) for one in [*heard, *[message] * copied])
+        foreign = sum(not sender.echoes.is_echo(one) for one in [*heard, *[message] * copied])
         heard.clear()
         copies += copied
         require(
@@ -375,9 +376,9 @@ def simulate(lives: int, seed: int) -> tuple[list[str], Counter[str]]:
 # Each mend undone
 
 
-def _any_copy_is_an_echo(sender: Transmitter, message: can.Message) -> bool:
+def _any_copy_is_an_echo(echoes: Echoes, message: can.Message) -> bool:
     """As it was: what was sent within the last second is an echo, however often it comes."""
-    return (message.arbitration_id, bytes(message.data)) in [entry[1:] for entry in sender._echoes]
+    return (message.arbitration_id, bytes(message.data)) in [entry[1:] for entry in echoes._awaited]
 
 
 def _counters_alone() -> AbstractContextManager[Any]:
@@ -410,7 +411,7 @@ MENDS = {
     "contested mass apart": mend(
         (8,), forged, lambda: mock.patch("yieldmon.engine.sampling.windows.Window.contested", property(lambda window: False)),
     ),
-    "each echo once": mend((8,), repeated, lambda: mock.patch.object(Transmitter, "is_echo", _any_copy_is_an_echo)),
+    "each echo once": mend((8,), repeated, lambda: mock.patch.object(Echoes, "is_echo", _any_copy_is_an_echo)),
     "signs of life of the transmitter": mend(
         (9,), hangs, lambda: mock.patch.object(Transmitter, "hangs_s", return_value=0.0),
     ),

@@ -93,8 +93,8 @@ def test_a_copy_of_our_own_frame_beside_its_echo_is_another_node():
     for message in messages:
         transmitter.submit(message)
     wait_for(lambda: len(sent) == 61, "the frames")
-    assert all(transmitter.is_echo(message) for message in messages)
-    assert not any(transmitter.is_echo(message) for message in messages)
+    assert all(transmitter.echoes.is_echo(message) for message in messages)
+    assert not any(transmitter.echoes.is_echo(message) for message in messages)
     transmitter.stop()
 
 
@@ -111,7 +111,7 @@ def test_a_bus_that_shows_no_frame_of_ours_shows_anothers_copies():
     for message in later:
         transmitter.submit(message)
     wait_for(lambda: len(sent) == 122, "the frames")
-    assert not any(transmitter.is_echo(message) for message in later)
+    assert not any(transmitter.echoes.is_echo(message) for message in later)
     transmitter.stop()
 
 

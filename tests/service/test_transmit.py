@@ -7,7 +7,8 @@ import threading
 import can
 import pytest
 
-from yieldmon.service.traffic.transmit import ASKED_ECHO_S, Transmitter
+from yieldmon.service.traffic.echoes import ASKED_ECHO_S
+from yieldmon.service.traffic.transmit import Transmitter
 
 PATIENCE_S = 60.0
 
@@ -105,15 +106,15 @@ def test_an_echo_counts_once_and_not_for_ever(bus, clock):
     transmitter.submit(frame(7, b"ab"))
     transmitter.start()
     transmitter.stop()
-    assert not transmitter.is_echo(frame(7, b"ac"))
-    assert transmitter.is_echo(frame(7, b"ab"))
-    assert not transmitter.is_echo(frame(7, b"ab")), "a second copy is another node's"
+    assert not transmitter.echoes.is_echo(frame(7, b"ac"))
+    assert transmitter.echoes.is_echo(frame(7, b"ab"))
+    assert not transmitter.echoes.is_echo(frame(7, b"ab")), "a second copy is another node's"
     transmitter = Transmitter(bus.send, 3, 0.5, clock)
     transmitter.submit(frame(7, b"ab"))
     transmitter.start()
     transmitter.stop()
     clock.now_s += 1.1
-    assert not transmitter.is_echo(frame(7, b"ab"))
+    assert not transmitter.echoes.is_echo(frame(7, b"ab"))
 
 
 def test_who_asks_waits_until_all_that_waited_is_on_the_bus(bus, clock):
@@ -173,7 +174,7 @@ def test_a_refused_frame_is_reported_for_two_seconds_with_its_reason_and_is_no_e
     assert (counters.failed, counters.sent, counters.late, counters.last_failure) == (1, 0, 0, "Network is down")
     assert counters.failing(clock.now_s + 2.0 - BEYOND_S)
     assert not counters.failing(clock.now_s + 2.0)
-    assert not started.is_echo(frame(1))
+    assert not started.echoes.is_echo(frame(1))
     bus.refuse = False
     clock.now_s += 1.0
     transmitted(started, frame(2))
@@ -185,7 +186,7 @@ def test_a_refused_frame_is_reported_for_two_seconds_with_its_reason_and_is_no_e
 def test_an_echo_comes_within_its_time(clock, started, later_s, is_ours):
     transmitted(started, frame(7, b"ab"))
     clock.now_s += later_s
-    assert started.is_echo(frame(7, b"ab")) is is_ours
+    assert started.echoes.is_echo(frame(7, b"ab")) is is_ours
 
 
 @pytest.mark.parametrize(("silent", "seen_before", "is_ours"), [(19, False, True), (20, False, False), (20, True, True)])
@@ -193,12 +194,12 @@ def test_an_interface_that_has_shown_none_of_the_first_frames_shows_none(clock, 
     """Then a copy of ours is another node's; one that has shown one shows all."""
     if seen_before:
         transmitted(started, frame(1))
-        assert started.is_echo(frame(1))
+        assert started.echoes.is_echo(frame(1))
     for number in range(silent):
         transmitted(started, frame(number))
         clock.now_s += 2.0
     transmitted(started, frame(99))
-    assert started.is_echo(frame(99)) is is_ours
+    assert started.echoes.is_echo(frame(99)) is is_ours
 
 
 def test_an_interface_that_was_asked_to_show_frames_is_relied_on(bus, clock):
@@ -209,7 +210,7 @@ def test_an_interface_that_was_asked_to_show_frames_is_relied_on(bus, clock):
         clock.now_s += 11.0
     transmitted(transmitter, frame(99))
     clock.now_s += 10.0
-    assert transmitter.is_echo(frame(99))
+    assert transmitter.echoes.is_echo(frame(99))
     assert transmitter.stop(PATIENCE_S)
 
 
@@ -228,14 +229,14 @@ def test_so_many_frames_wait(bus, clock, count, late):
 def test_a_refused_frame_whose_copy_was_heard_costs_no_other_its_echo(clock) -> None:
     def send(message: can.Message, timeout_s: float | None) -> None:
         if message.arbitration_id == 2:
-            assert transmitter.is_echo(frame(2))
+            assert transmitter.echoes.is_echo(frame(2))
             raise can.CanOperationError("No buffer space available")
 
     transmitter = Transmitter(send, 10, 0.5, clock)
     transmitter.start()
     transmitter.submit(frame(1), frame(2))
     assert transmitter.stop()
-    assert transmitter.is_echo(frame(1))
+    assert transmitter.echoes.is_echo(frame(1))
 
 
 @pytest.mark.parametrize("paused_s", [0.6, 1.5, 30.0])
@@ -244,12 +245,12 @@ def test_an_echo_that_is_read_late_because_the_process_stood_still_is_ours(bus, 
     """What is sent while nothing is read (SIGSTOP, no processor) comes back all the same, once."""
     transmitter = Transmitter(bus.send, 10, 60.0, clock, echo_s)
     transmitter.start()
-    transmitter.look()
+    transmitter.echoes.look()
     transmitted(transmitter, frame(1))
     clock.now_s += paused_s
     transmitted(transmitter, frame(2))
-    transmitter.look()
-    assert [transmitter.is_echo(frame(number)) for number in (1, 2, 1, 2)] == [True, True, False, False]
+    transmitter.echoes.look()
+    assert [transmitter.echoes.is_echo(frame(number)) for number in (1, 2, 1, 2)] == [True, True, False, False]
     assert transmitter.stop(PATIENCE_S)
 
 
@@ -260,6 +261,6 @@ def test_a_copy_that_comes_too_late_while_all_is_read_is_another_nodes(bus, cloc
     transmitted(transmitter, frame(1))
     for _ in range(int(echo_s / 0.25) + 1):
         clock.now_s += 0.25
-        transmitter.look()
-    assert not transmitter.is_echo(frame(1))
+        transmitter.echoes.look()
+    assert not transmitter.echoes.is_echo(frame(1))
     assert transmitter.stop(PATIENCE_S)

@@ -24,12 +24,13 @@ from yieldmon.identifiers import GROUP_MASK, SOURCE_MASK
 from yieldmon.service.config.configuration import Configuration
 from yieldmon.service.traffic.bus_time import BusTime
 from yieldmon.service.traffic.bus_traffic import BusTraffic, FrameRate
+from yieldmon.service.traffic.echoes import ASKED_ECHO_S, ECHO_S
 from yieldmon.service.traffic.frame_sender import FrameSender
 from yieldmon.service.traffic.input_frames import InputFrames
 from yieldmon.service.traffic.link import link_for
 from yieldmon.service.traffic.mapped_outputs import MappedOutputs
 from yieldmon.service.traffic.service_faults import ServiceFaults
-from yieldmon.service.traffic.transmit import ASKED_ECHO_S, ECHO_S, Transmitter
+from yieldmon.service.traffic.transmit import Transmitter
 
 _log = logging.getLogger(__name__)
 
@@ -130,7 +131,7 @@ class BusNode:
         # Read before the queue: what came by then is in there.
         empty_until_s = self.receiver.empty_until_s
         items = self.receiver.get_many(_BATCH_FRAMES, _CLAIMING_WAIT_S if self._link.claiming else _WAIT_S)
-        self.transmitter.look()
+        self.transmitter.echoes.look()
         return items, empty_until_s if not items else _NEVER
 
     def take_event(self, event: BusEvent) -> None:
@@ -155,7 +156,7 @@ class BusNode:
             published = self._of_a_rival(message)
         concerned = self._link.concerns(message)
         mapped = self._outputs.name_of(message, self._link.address) if self._outputs.sends else None
-        if (concerned or published or mapped) and self.transmitter.is_echo(message):
+        if (concerned or published or mapped) and self.transmitter.echoes.is_echo(message):
             return ()
         if concerned:
             self._sender.send(self._link.receive(message, self._clock()))

@@ -6,23 +6,16 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import monotonic
 
 import can
 
+from yieldmon.service.traffic.echoes import ECHO_S, Echoes
+
 _log = logging.getLogger(__name__)
 
 _SEND_TIMEOUT_S = 0.2
-#: How long a frame that was sent may take to come back from an interface that shows a node its own frames.
-ECHO_S = 1.0
-#: The same where the interface was asked to show them: a frame waits in the driver while the bus is busy.
-ASKED_ECHO_S = 10.0
-#: So many frames sent, and none come back in time, indicate an interface that shows a node no frame of its own.
-_ENOUGH_WITHOUT_ECHO = 20
-#: Received frames are looked at much more often than this, unless the process gets no processor or is stopped.
-_PAUSE_S = 0.5
 _FAILURE_HOLD_S = 2.0
 #: How long a stop waits for the frame that is being sent.
 _STOP_S = 1.0
@@ -49,7 +42,13 @@ class TransmitCounters:
 
 
 class Transmitter:
-    """Sends on its own thread, so that a full bus never holds up the engine."""
+    """Sends on its own thread, so that a full bus never holds up the engine.
+
+    Attributes
+    ----------
+    echoes : Echoes
+        What was sent and has not come back.
+    """
 
     def __init__(
         self,
@@ -61,17 +60,13 @@ class Transmitter:
     ) -> None:
         """send: sends one frame, waiting as long as its second argument says; raises can.CanError or OSError.
         capacity: frames that may wait; beyond it the oldest go. max_age_s: a frame that waited longer is not sent.
-        echo_s: how long a frame that was sent may take to come back; ASKED_ECHO_S: the interface shows each."""
+        echo_s: as `Echoes` has it."""
         self._send = send
         self._clock = clock
-        self._echo_s = echo_s
         self._capacity = capacity
         self._max_age_s = max_age_s
         self._queue: deque[tuple[float, can.Message]] = deque()
-        self._echoes: deque[tuple[float, int, bytes]] = deque()
-        self._echoes_unknown = echo_s < ASKED_ECHO_S
-        self._without_echo = 0
-        self._looked_s = clock()
+        self.echoes = Echoes(clock, echo_s)
         self._changed = threading.Condition()
         self._stopping = False
         self._busy_since_s: float | None = None
@@ -112,31 +107,6 @@ class Transmitter:
         since_s = self._busy_since_s
         return 0.0 if since_s is None else self._clock() - since_s
 
-    def look(self) -> None:
-        """Received frames are being looked at now. After a pause they are so much late, and so are the echoes among them."""
-        with self._changed:
-            now_s = self._clock()
-            paused_s, self._looked_s = now_s - self._looked_s, now_s
-            if paused_s > _PAUSE_S:
-                self._echoes = deque((sent_s + paused_s, number, data) for sent_s, number, data in self._echoes)
-            self._forget_echoes()
-
-    def is_echo(self, message: can.Message) -> bool:
-        """Whether a received frame is one of those sent within the last second (`echo_s`), pauses apart. Each counts once: some
-        interfaces show a node its own frames, and another node's copies come on top. Of an interface that has shown none of the
-        first ones each copy is another node's."""
-        seen = (message.arbitration_id, bytes(message.data))
-        with self._changed:
-            self._forget_echoes()
-            if self._echoes_unknown and self._without_echo >= _ENOUGH_WITHOUT_ECHO:
-                return False
-            for entry in self._echoes:
-                if entry[1:] == seen:
-                    self._echoes.remove(entry)
-                    self._echoes_unknown = False
-                    return True
-        return False
-
     @property
     def waiting(self) -> int:
         """Frames that wait to be sent."""
@@ -165,27 +135,14 @@ class Transmitter:
             if self._clock() - queued_at_s > self._max_age_s:
                 self._count(late=1)
                 continue
-            with self._changed:
-                echo = self._clock(), message.arbitration_id, bytes(message.data)
-                self._echoes.append(echo)
+            sent = self.echoes.expect(message)
             try:
                 self._send(message, _SEND_TIMEOUT_S)
             except (can.CanError, OSError, ValueError) as error:
-                self._forget(echo)
+                self.echoes.forget(sent)
                 self._count(failed=1, failure=str(error))
             else:
                 self._count(sent=1)
-
-    def _forget_echoes(self) -> None:
-        oldest_s = self._clock() - self._echo_s
-        while self._echoes and self._echoes[0][0] < oldest_s:
-            self._echoes.popleft()
-            self._without_echo += 1
-
-    def _forget(self, echo: tuple[float, int, bytes]) -> None:
-        """The frame was not sent; it may have been found meanwhile, in a copy."""
-        with self._changed, suppress(ValueError):
-            self._echoes.remove(echo)
 
     def _count(self, sent: int = 0, late: int = 0, failed: int = 0, failure: str = "") -> None:
         with self._changed:
