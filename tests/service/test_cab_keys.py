@@ -90,16 +90,16 @@ def test_a_wrong_crop_is_corrected_from_the_cab_and_taken_back(tmp_path) -> None
         assert masses(bench) == (total_kg, before)
         reported = cab.press("x", "c", "\r", *"Wheat", "\r", "y")
         assert reported == (
-            "load 2: wheat; load 2 measured again with the parameters of wheat, seconds stay as they are; "
+            "load 2: wheat; load 2 recomputed with the parameters of wheat, the seconds are unchanged; "
             "x, c and the former crop take it back"
         )
         assert masses(bench)[1] == {**before, 2: ("wheat", before[2][1])}
         assert cab.press("x", "c", "\r", *"wheat", "\r", "y").startswith("load 2: has 'wheat' already")
-        assert cab.press("x", "c", "\r", *"corn", "\r", "y").startswith("load 2: corn; load 2 measured again")
+        assert cab.press("x", "c", "\r", *"corn", "\r", "y").startswith("load 2: corn; load 2 recomputed")
         assert masses(bench)[1] == before
         reported = cab.press("x", "c", *"3", "\r", *"wheat", "\r", "y")
         assert cab.reported[0] == "load 4 started of wheat"
-        assert reported.startswith("load 3: wheat; load 3 measured again with the parameters of wheat")
+        assert reported.startswith("load 3: wheat; load 3 recomputed with the parameters of wheat")
         bench.play(5, 80.0)
         bench.played()
         after_kg, loads = masses(bench)

@@ -56,7 +56,7 @@ def test_a_corrected_crop_is_as_if_it_had_been_chosen(tmp_path, capsys) -> None:
         harvest(wrong, bench, ("corn", "corn", "corn"))
         assert cli.main(["load", "correct", "3-4", "--crop", "wheat", "--socket", str(wrong.folder / "yieldmon.sock")]) == 0
         said = capsys.readouterr().out
-        assert said.startswith("loads 3 to 4: wheat; loads 3 and 4 measured again with the parameters of wheat")
+        assert said.startswith("loads 3 to 4: wheat; loads 3 and 4 recomputed with the parameters of wheat")
         assert "the update of another crop by ticket 2 is taken back" in said
         assert said.endswith("the parameters of wheat are updated by tickets 2 and 3\n")
         found = known(wrong, bench)

@@ -202,7 +202,7 @@ def test_a_load_begun_under_a_wrong_crop(browser: Browser, tmp_path: Path) -> No
             commands, dialog = watched.page.get_by_role("group", name="Commands"), watched.page.locator("dialog[open]")
             for crop, said in (
                 ("wheat", "is still open"),
-                ("wheat", "Load 1: wheat; measured again."),
+                ("wheat", "Load 1: wheat; recomputed."),
                 ("wheat", "has 'wheat' already"),
             ):
                 commands.get_by_role("button", name="Wrong crop").click()

@@ -81,8 +81,8 @@ def loads_corrected(answer: Mapping[str, Any]) -> str:
     names = " ".join(name for name in (answer["field"], answer["crop"]) if name) or "no field"
     parts = [f"load {first}: {names}" if first == last else f"loads {first} to {last}: {names}"]
     if again := answer.get("measured_again"):
-        parts.append(f"{named('load', again)} measured again with the parameters of {answer['crop']}, seconds stay as they are")
-    parts += [f"load {row['load']} is not measured again: {row['why']}" for row in answer.get("not_measured_again", ())]
+        parts.append(f"{named('load', again)} recomputed with the parameters of {answer['crop']}, the seconds are unchanged")
+    parts += [f"load {row['load']} is not recomputed: {row['why']}" for row in answer.get("not_measured_again", ())]
     for update in answer.get("taken_back", ()):
         of_other = f"the update of another crop by ticket {update['ticket']}"
         if "undone" in update:

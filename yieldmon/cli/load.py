@@ -131,7 +131,7 @@ def _rows(loads: list[dict[str, Any]], system: str) -> tuple[list[str], list[lis
     """Heads and rows of all loads; yields where the area is known, by the corrected mass."""
     units = units_of(system)
     mass, area = units.mass_unit, units.area_unit
-    masses = (f"{name} {mass.name}" for name in ("measured", "±", "dry", "again", "ticket", "corrected", "±"))
+    masses = (f"{name} {mass.name}" for name in ("measured", "±", "dry", "recomputed", "ticket", "corrected", "±"))
     heads = ["load", "field", "crop", *masses, f"area {area.name}", "yield"]
     rows = []
     for load in loads:

@@ -1,8 +1,7 @@
 """Correct one or several past loads by a weighed mass, list the tickets, or take one back.
 
 What was measured stays on record beside the correction. A ticket for loads that the running daemon measured also becomes a
-reference mass for its calibration, and the loads of the last three days are measured again with the new
-parameters.
+reference mass for its calibration, and the loads of the last three days are recomputed with the new parameters.
 """
 
 from __future__ import annotations
@@ -93,13 +92,13 @@ def run(args: argparse.Namespace) -> int:
             print(_of_truck(truck, answer, units))
         if crop:
             print(
-                f"it updates the parameters of {crop}, and loads of the last three days are measured again, once {crop} is "
+                f"it updates the parameters of {crop}, and loads of the last three days are recomputed, once {crop} is "
                 "harvested again: ",
                 end="",
             )
             print(f"`yieldmon load start --crop {crop}`, also for some seconds with the elevator empty")
         elif answer["is_reference"]:
-            print("the loads of the last three days are measured again with the updated parameters: `yieldmon load list`")
+            print("the loads of the last three days are recomputed with the updated parameters: `yieldmon load list`")
     return 0
 
 

@@ -45,7 +45,7 @@ class LoadStopDocument(LoadStopped, Answered):
 
 
 class ListedLoad(TypedDict):
-    """A load. started_s, ended_s: Unix time; mass_kg with std_dev_kg, dry_mass_kg: as measured; posted_mass_kg: as measured again
+    """A load. started_s, ended_s: Unix time; mass_kg with std_dev_kg, dry_mass_kg: as measured; posted_mass_kg: as recomputed
     with newer parameters; ticket_mass_kg: as weighed for all loads of the ticket; corrected_mass_kg with corrected_std_dev_kg,
     corrected_dry_mass_kg: the best of these."""
 
@@ -98,7 +98,7 @@ class LoadListDocument(Loads, Answered):
 
 
 class NotMeasured(TypedDict):
-    """A load that was not measured again, and why."""
+    """A load that was not recomputed, and why."""
 
     load: int
     why: str

@@ -26,7 +26,7 @@ class SameTimesSummary(TypedDict):
 
 
 class ReprocessedLoad(TypedDict):
-    """A load's mass as measured and as measured again."""
+    """A load's mass as measured and as recomputed."""
 
     load: int
     before_kg: float

@@ -78,7 +78,7 @@ def _with_loads(source: Source, known: Mapping[str, KnownLoad]) -> Source:
     if not known:
         return source
     weighed = sum(load.weighed_kg is not None for load in known.values())
-    note = f"{weighed} of its loads as weighed, {len(known) - weighed} as measured again, as `yieldmon load list` has them"
+    note = f"{weighed} of its loads as weighed, {len(known) - weighed} as recomputed, as `yieldmon load list` has them"
     return replace(source, known_loads=known, notes=(*source.notes, note))
 
 

@@ -79,7 +79,7 @@ class RemeasuringThread:
         try:
             thread.start()
         except RuntimeError as error:
-            _log.error("the loads cannot be measured again: %s", error)
+            _log.error("the loads cannot be recomputed: %s", error)
             return
         self._thread = thread
 
@@ -151,5 +151,5 @@ class RemeasuringThread:
                 crop=job.crop,
             )
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
-            _log.error("the loads could not be measured again: %s", error)
+            _log.error("the loads could not be recomputed: %s", error)
         self._done = RemeasuringResult(job, version, found)

@@ -240,8 +240,8 @@ function answerOf(name, answer) {
   }
   if (name === "load-correct") {
     const loads = answer.first_load === answer.last_load ? `Load ${answer.first_load}` : `Loads ${answer.first_load} to ${answer.last_load}`;
-    const again = answer.measured_again?.length ? "; measured again" : "";
-    const not = answer.not_measured_again?.length ? `; ${named("load", answer.not_measured_again.map((row) => row.load))} ${answer.not_measured_again.length > 1 ? "are" : "is"} not measured again` : "";
+    const again = answer.measured_again?.length ? "; recomputed" : "";
+    const not = answer.not_measured_again?.length ? `; ${named("load", answer.not_measured_again.map((row) => row.load))} ${answer.not_measured_again.length > 1 ? "are" : "is"} not recomputed` : "";
     const next = answer.goes_on ? ` The next load is still ${answer.goes_on}: New load with ${answer.crop} if it is not.` : "";
     return `${loads}: ${[answer.field, answer.crop].filter(Boolean).join(" ")}${again}${not}.${next}`;
   }
