@@ -47,11 +47,11 @@ class Question:
     key: str
     text: str
     unit: str = ""
-    kind: str = "number"
     low: float = 0.0
     high: float = 0.0
     default: float | str | None = None
     drawing: str = ""
+    kind: str = "number"
 
     def applies(self, answers: Mapping[str, Any]) -> bool:
         """Whether it is asked, by the answers before it: a bolted plate has no actuator."""
@@ -68,34 +68,30 @@ def bolted(answers: Mapping[str, Any]) -> bool:
     return low is not None and low == answers.get("max_plate_angle_deg")
 
 
-def _number(
-    key: str, text: str, unit: str, low: float, high: float, default: float | str | None = None, drawing: str = ""
-) -> Question:
-    return Question(key, text, unit, "number", low, high, default, drawing)
-
-
 QUESTIONS: tuple[Question, ...] = (
     Question("machine_name", "Name of the machine", kind="word", default="combine"),
     Question("bus_interface", "CAN interface (python-can's name)", kind="word", default="socketcan"),
     Question("bus_channel", "Its channel", kind="word", default="can0"),
-    _number("sprocket_pitch_radius_m", "Pitch radius of the upper sprocket", "m", 0.01, 1.0, drawing=SIDE),
-    Question("paddle_spacings_m", "Distances between paddles along the chain", "m", "numbers", 0.01, 2.0, drawing=CHAIN),
-    _number("paddle_length_m", "Sprocket's centre to the tip of a paddle", "m", 0.02, 1.0, drawing=PADDLE),
-    _number("paddle_width_m", "Width of a paddle", "m", 0.02, 1.0),
-    _number("plate_pivot_x_m", "Plate's pivot, level distance from the sprocket's centre", "m", 0.0, 5.0, drawing=SIDE),
-    _number("plate_pivot_above_m", "Plate's pivot, height above the sprocket's centre", "m", -5.0, 5.0),
-    _number("plate_length_m", "Length of the plate, pivot to lower edge", "m", 0.02, 2.0),
-    _number("home_plate_angle_deg", "Plate angle in work", "deg", 5.0, 120.0, 70.0),
-    _number("min_plate_angle_deg", "Smallest plate angle", "deg", 5.0, 120.0, 40.0),
-    _number("max_plate_angle_deg", "Largest plate angle", "deg", 5.0, 120.0, 90.0),
-    _number("nominal_elevator_speed_rpm", "Sprocket speed in work", "rpm", 1.0, LARGEST_SPEED_RPM, 400.0),
-    _number("min_elevator_speed_rpm", "Smallest sprocket speed with grain", "rpm", 1.0, LARGEST_SPEED_RPM, 250.0),
-    _number("max_elevator_speed_rpm", "Largest sprocket speed", "rpm", 1.0, LARGEST_SPEED_RPM, 599.0),
-    _number("largest_flow_kg_s", "Largest mass flow expected", "kg/s", 1.0, 100.0, 25.0),
-    _number("cell_full_scale_mv", "Largest voltage of the force cell", "mV", 1.0, 1e5, 4000.0),
-    Question("cell_weights_kg", "Masses hung on the plate, first 0", "kg", "numbers", 0.0, 500.0, drawing=WEIGHTS),
-    Question("cell_readings_mv", "Voltage at each of them", "mV", "numbers", -1e5, 1e5),
-    Question("plate_measured_deg", "Plate angle by inclinometer, two positions", "deg", "numbers", 0.0, 180.0, drawing=ANGLES),
-    Question("plate_reported_deg", "Angle that the actuator reports at each", "deg", "numbers", 0.0, 180.0),
+    Question("sprocket_pitch_radius_m", "Pitch radius of the upper sprocket", "m", 0.01, 1.0, drawing=SIDE),
+    Question("paddle_spacings_m", "Distances between paddles along the chain", "m", 0.01, 2.0, drawing=CHAIN, kind="numbers"),
+    Question("paddle_length_m", "Sprocket's centre to the tip of a paddle", "m", 0.02, 1.0, drawing=PADDLE),
+    Question("paddle_width_m", "Width of a paddle", "m", 0.02, 1.0),
+    Question("plate_pivot_x_m", "Plate's pivot, level distance from the sprocket's centre", "m", 0.0, 5.0, drawing=SIDE),
+    Question("plate_pivot_above_m", "Plate's pivot, height above the sprocket's centre", "m", -5.0, 5.0),
+    Question("plate_length_m", "Length of the plate, pivot to lower edge", "m", 0.02, 2.0),
+    Question("home_plate_angle_deg", "Plate angle in work", "deg", 5.0, 120.0, 70.0),
+    Question("min_plate_angle_deg", "Smallest plate angle", "deg", 5.0, 120.0, 40.0),
+    Question("max_plate_angle_deg", "Largest plate angle", "deg", 5.0, 120.0, 90.0),
+    Question("nominal_elevator_speed_rpm", "Sprocket speed in work", "rpm", 1.0, LARGEST_SPEED_RPM, 400.0),
+    Question("min_elevator_speed_rpm", "Smallest sprocket speed with grain", "rpm", 1.0, LARGEST_SPEED_RPM, 250.0),
+    Question("max_elevator_speed_rpm", "Largest sprocket speed", "rpm", 1.0, LARGEST_SPEED_RPM, 599.0),
+    Question("largest_flow_kg_s", "Largest mass flow expected", "kg/s", 1.0, 100.0, 25.0),
+    Question("cell_full_scale_mv", "Largest voltage of the force cell", "mV", 1.0, 1e5, 4000.0),
+    Question("cell_weights_kg", "Masses hung on the plate, first 0", "kg", 0.0, 500.0, drawing=WEIGHTS, kind="numbers"),
+    Question("cell_readings_mv", "Voltage at each of them", "mV", -1e5, 1e5, kind="numbers"),
+    Question(
+        "plate_measured_deg", "Plate angle by inclinometer, two positions", "deg", 0.0, 180.0, drawing=ANGLES, kind="numbers"
+    ),
+    Question("plate_reported_deg", "Angle that the actuator reports at each", "deg", 0.0, 180.0, kind="numbers"),
     Question("crop", "Crop", kind="word", default="corn"),
 )

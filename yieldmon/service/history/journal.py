@@ -45,8 +45,8 @@ class Journal:
             now_s,
             memory.unfinished_tickets,
             memory.unfinished_tickets_of_crop,
-            memory.restored_versions,
-            memory.open_loads,
+            restored=memory.restored_versions,
+            open_loads=memory.open_loads,
         )
         self.parameters = ParameterHistory(memory, configured, self.actions)
         self.unrecorded = _unrecorded(memory, now_s)

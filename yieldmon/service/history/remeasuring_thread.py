@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from yieldmon.engine.monitor_view import MonitorView
 from yieldmon.physics.machine import Machine
+from yieldmon.service.answering import on_a_thread
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.remeasuring import MeasuredAgain, at_its_end, of_store
 from yieldmon.service.tickets.action_log import ActionLog
@@ -65,23 +66,19 @@ class RemeasuringThread:
         """path: of the store. written: waits so many seconds until the store holds all that was handed to it."""
         self._path = path
         self._written = written
-        self._thread: threading.Thread | None = None
-        self._done: RemeasuringResult | None = None
+        self._job: Future[RemeasuringResult] | None = None
 
     @property
     def busy(self) -> bool:
         """Whether a job is under way, or its result not taken yet."""
-        return self._thread is not None
+        return self._job is not None
 
     def start(self, machine: Machine, job: RemeasuringJob) -> None:
         """Begin a job; not while busy. Without room for a thread there is none, which is said."""
-        thread = threading.Thread(target=self._work, args=(machine, job), name="remeasuring", daemon=True)
         try:
-            thread.start()
+            self._job = on_a_thread(lambda: self._result(machine, job), "remeasuring")
         except RuntimeError as error:
             _log.error("the loads cannot be recomputed: %s", error)
-            return
-        self._thread = thread
 
     def start_next(self, journal: Journal, monitor: MonitorView) -> None:
         """Begin what is to be measured again, where there is something and no job is under way.
@@ -126,17 +123,16 @@ class RemeasuringThread:
 
     def take(self) -> RemeasuringResult | None:
         """What came of the job, once."""
-        if self._thread is None or self._thread.is_alive():
+        if self._job is None or not self._job.done():
             return None
-        self._thread, done, self._done = None, self._done, None
-        return done
+        done, self._job = self._job, None
+        return done.result()
 
-    def _work(self, machine: Machine, job: RemeasuringJob) -> None:
+    def _result(self, machine: Machine, job: RemeasuringJob) -> RemeasuringResult:
         found, version = dict[int, MeasuredAgain](), job.version
         try:
             if not self._written(_WRITING_S):
-                self._done = RemeasuringResult(job, version, None)
-                return
+                return RemeasuringResult(job, version, None)
             if job.closed_load is not None:
                 version = at_its_end(self._path, job.closed_load, version)
             undone, only = not job.tickets, job.closed_load
@@ -152,4 +148,4 @@ class RemeasuringThread:
             )
         except Exception as error:  # noqa: BLE001 - what was measured stays, and measuring goes on
             _log.error("the loads could not be recomputed: %s", error)
-        self._done = RemeasuringResult(job, version, found)
+        return RemeasuringResult(job, version, found)

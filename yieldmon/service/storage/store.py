@@ -74,6 +74,7 @@ class Store(StoredRows):
         self,
         path: Path,
         retention: Retention = DEFAULT_RETENTION,
+        *,
         exclusive: bool = False,
         immutable: bool = False,
         copied: bool = False,

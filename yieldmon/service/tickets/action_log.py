@@ -32,6 +32,7 @@ class ActionLog:
         now_s: float,
         unfinished: Sequence[int] = (),
         of_crop: Mapping[str, Sequence[int]] | None = None,
+        *,
         restored: Sequence[int] = (),
         open_loads: Mapping[int, Remeasuring] | None = None,
     ) -> None:
