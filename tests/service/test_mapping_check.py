@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import radians
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from yieldmon.errors import InputError
@@ -371,6 +372,26 @@ def test_an_impact_sensor_that_no_grain_met_is_said(high_mv: float, said: bool, 
     config = load(tmp_path)
     told = remarks(config, impact(config, low=0.0, high=high_mv))
     assert ["less than any grain's" in note for note in told] == [True] * said
+
+
+@pytest.mark.parametrize(
+    ("floor_mv", "step_mv", "said"),
+    [(0.0, 0.1, True), (-4.0, 0.1, True), (-99.0, 0.1, False), (-99.0, 8.0, False)],
+    ids=["at the zero", "below the zero", "nowhere", "nowhere, in coarse steps"],
+)
+def test_an_impact_sensor_whose_vibration_is_cut_off_below_is_said(
+    floor_mv: float, step_mv: float, said: bool, tmp_path: Path
+) -> None:
+    """Noise of 3 mV about 0 between pulses; in the steps of an 8-bit converter most of it is one value, not the lowest."""
+    config = load(tmp_path, cell=WIDE.replace("WideCell", "CellData") + "}")
+    noise = np.random.default_rng(5).normal(0.0, 3.0, 3000) + np.where(np.arange(3000) % 80 < 10, 60.0, 0.0)
+    shown = np.maximum(np.round(noise / step_mv) * step_mv, floor_mv)
+    rows = [(1.0 + 0.002 * k, 0x101, struct.pack("<hh", round(10.0 * value), 0)) for k, value in enumerate(shown)]
+    told = [note for note in remarks(config, seen_in(config, log_of(tmp_path, *rows))[0]) if "lowest value" in note]
+    share = f"{100.0 * np.mean(shown == floor_mv):.0f} %"
+    assert [note.split(":")[0] for note in told] == [
+        f"impact is at its lowest value, {floor_mv:g} mV, in {share} of its samples"
+    ] * said
 
 
 BITS = {

@@ -226,6 +226,11 @@ def _impact_remarks(configuration: Configuration, seen: dict[str, QuantitySeen])
                 f"{name} jumps by {100.0 * entry.step_share:.0f} % of its range from one sample to the next, as no force does: "
                 "look at start bit, byte order (@0 or @1 in the DBC) and sign of its signal"
             )
+        if entry.floor_share > 0.0:
+            found.append(
+                f"{name} is at its lowest value, {entry.low:.4g} mV, in {100.0 * entry.floor_share:.0f} % of its samples: if "
+                "amplifier or converter end there, they cut vibration off, and the zero is wrong; raise the zero-load voltage"
+            )
         if entry.counter_flaw:
             found.append(f"{name}'s counter {entry.counter_flaw}")
     return found + _one_sensor_twice(configuration, seen)

@@ -27,6 +27,8 @@ _LEAST_STEPS = 200
 """Samples, or counts, whose steps say something."""
 _EVEN = 0.1
 """Of a step, what the middle half of all differs by at most: a clock's are not all the same."""
+_FLOOR_SHARE, _FLOOR_TIMES, _FLOOR_STEPS = 0.02, 6, 8
+"""Of samples that are cut off: their least share, how often they are met for each of the next value, and steps of the range."""
 _TURNS = 4
 """So often a counter turns before its ends are known."""
 
@@ -48,6 +50,8 @@ class QuantitySeen:
     decoded: tuple[float, float] | None
     step_share: float | None = None
     """Median difference between one value and the next over the range of most of them."""
+    floor_share: float = 0.0
+    """Share of the lowest value, where values below it seem to be cut off."""
     leaping_share: float = 0.0
     """Of the seconds, those whose values leap up and down as no one sender's do."""
     silences: int = 0
@@ -154,6 +158,7 @@ def _summary(name: str, parts: list[tuple[Array, Array, Array]], holds_s: float)
         first=tuple(good[:_FIRST].tolist()),
         decoded=(float(finite.min()), float(finite.max())) if finite.size else None,
         step_share=_step_share(good),
+        floor_share=_floor_share(good),
         silences=int(np.count_nonzero(np.diff(at) > holds_s)),
     )
 
@@ -178,6 +183,19 @@ def _step_share(values: Array) -> float | None:
         return None
     low, high = np.percentile(values, (1.0, 99.0))
     return float(np.median(np.abs(np.diff(values))) / (high - low)) if high > low else None
+
+
+def _floor_share(values: Array) -> float:
+    """Of noise the lowest value is rare."""
+    if values.size < _LEAST_STEPS:
+        return 0.0
+    low = values.min()
+    above = values[values > low]
+    if above.size == 0 or values.max() - low < _FLOOR_STEPS * (above.min() - low):
+        return 0.0
+    share = 1.0 - above.size / values.size
+    often = values.size - above.size >= _FLOOR_TIMES * np.count_nonzero(above == above.min())
+    return share if often and share >= _FLOOR_SHARE else 0.0
 
 
 def documents(seen: Mapping[str, QuantitySeen]) -> dict[str, SeenDocument]:
