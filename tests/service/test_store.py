@@ -299,6 +299,21 @@ def test_retention_of_events(path):
         assert [f.time_s for f in store.faults()] == [6.0, 7.0, 8.0, 9.0, 10.0]
 
 
+def test_tickets_and_what_took_them_back_stay_beyond_retention_of_events(path):
+    """A ticket's number is its place among all of them, and without its undo one would count again."""
+    loads = tuple(Load(n, "north", "corn", 0.0, 1.0, 1000.0, 900.0) for n in range(1, 11))
+    tickets = tuple(Ticket(float(n), n, n, 1000.0 + 10.0 * n, 1000.0) for n in range(1, 11))
+    undone = Action(1, 20.0, "ticket-undo", "", {"ticket": 9})
+    later = tuple(Action(n, 20.0 + n, "zero", "", {"second": n}) for n in range(2, 20))
+    with Store(path, Retention(event_rows=5)) as store:
+        store.commit([Batch(1, 1.0, {}, loads=loads, tickets=tickets, actions=(undone, *later))])
+        before = store.corrected_loads()
+        store.prune()
+        assert store.corrected_loads() == before
+        assert (len(store.tickets()), len(store.actions())) == (10, 19)
+    assert [row["ticket_id"] for row in before] == [1, 2, 3, 4, 5, 6, 7, 8, None, 10]
+
+
 def test_the_newest_ticket_corrects_and_originals_stay(path):
     loads = tuple(Load(n, "north", "corn", 0.0, 1.0, 1000.0 * n, 900.0 * n) for n in (1, 2, 3, 4))
     tickets = (Ticket(1.0, 1, 3, 6600.0, 6000.0), Ticket(2.0, 2, 2, 1900.0, 2000.0, "cart"))

@@ -53,7 +53,7 @@ class Store(Section):
     path: str = text("yieldmon.sqlite", "file; relative paths are under the service's state folder")
     record_hours: float = quantity(2000.0, 1.0, 1e5, "h", "hours of one-second records to keep")
     size_mb: float = quantity(512.0, 16.0, 1e5, "MB", "limit of the file; the oldest one-second records are deleted first")
-    event_rows: int = quantity(100_000, 100, 10_000_000, "rows", "sweeps, faults and tickets to keep, each")
+    event_rows: int = quantity(100_000, 100, 10_000_000, "rows", "sweeps and faults to keep, each")
     pending_seconds: int = quantity(
         3600, 10, 100_000, "s", "seconds to hold in memory while the disk fails; totals are kept longer"
     )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Retention:
     """What is kept: the newest `record_hours` hours of one-second records, fewer when the file would pass `size_mb` MB,
-    and the newest `event_rows` sweeps, faults and tickets. Loads and parameter versions are few and stay.
+    and the newest `event_rows` sweeps and faults. Loads, parameter versions, tickets and what took them back are few and stay: of
+    tickets a part would correct other loads.
 
     Hours are hours of records, so a clock that is wrong by years takes nothing away.
     """

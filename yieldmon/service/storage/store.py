@@ -307,7 +307,7 @@ class Store(StoredRows):
             gone = self._delete_oldest("second", "number", int(self.retention.record_hours * 3600))
             if self.size_bytes() > self.retention.size_mb * 1e6:
                 gone += self._delete_oldest("second", "number", 0)
-            for table in ("sweep", "fault", "ticket", "action"):
+            for table in ("sweep", "fault"):
                 gone += self._delete_oldest(table, schema.KEYS[table], self.retention.event_rows)
             gone += self._delete_oldest("step", "version", _KEPT_STEPS)
         return gone
