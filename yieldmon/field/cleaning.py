@@ -18,6 +18,11 @@ NO_PLACE = "no place"
 """Mass measured at a time whose place, one delay before, is not in the record."""
 LOCAL = "local outlier"
 NAMES = (*tuple(rule.name for rule in RULES), LOCAL)
+ABOUT = {rule.name: rule.about for rule in RULES} | {
+    LOCAL: "far from the median of its neighbours, by the field's own scatter, and adjacent passes do not show the same",
+    NO_PLACE: "its place, one delay before, is not in the record",
+}
+"""Reasons in words."""
 #: Rules without which a point has no yield at a place; they cannot be switched off.
 NEEDED = ("no position", "no flow", "header up")
 _MIN_PART, _MAX_PARTS = 200, 200
@@ -102,10 +107,9 @@ def mass_by_reason(cleaned: Cleaned, placed: Placed) -> Mapping[str, float]:
 def much_left_out(cleaned: Cleaned, mass_kg: Mapping[str, float]) -> tuple[str, ...]:
     """A note on each reason that takes a quarter of the mass or more. mass_kg: as of mass_by_reason."""
     total, points = sum(mass_kg.values()), cleaned.points_by_reason()
-    about = {rule.name: rule.about for rule in RULES} | {LOCAL: "far from its neighbours, and not so in the passes beside"}
     return tuple(
-        f"{100 * mass / total:.0f} % of the mass, {points[name]} points, is left out as {name!r} ({about[name]})"
+        f"{100 * mass / total:.0f} % of the mass, {points[name]} points, is left out as {name!r} ({ABOUT[name]})"
         + ("" if name in NEEDED else f"; --without {name!r} keeps it")
         for name, mass in mass_kg.items()
-        if name in about and total > 0 and mass >= _MUCH * total
+        if name in ABOUT.keys() & points.keys() and total > 0 and mass >= _MUCH * total
     )

@@ -299,7 +299,7 @@ RULES: tuple[Rule, ...] = (
     Rule("pass start", f"yield not yet at {100 * _RAMP_LEVEL:g} % of what follows (length from all passes)", _pass_start),
     Rule("pass end", f"yield no longer at {100 * _RAMP_LEVEL:g} % of what was before", _pass_end),
     Rule("overlap", "over half of the swath was cut before", _overlap),
-    Rule("flow", "no flow, or above the outer fence of flow by width, and not so in the passes beside", _flow),
+    Rule("flow", "no flow, or above the outer fence of flow by width, and adjacent passes do not show the same", _flow),
     Rule("moisture", "beyond the outer fences", _moisture),
-    Rule("yield", "beyond the outer fences, and not so in the passes beside", _yield),
+    Rule("yield", "beyond the outer fences, and adjacent passes do not show the same", _yield),
 )

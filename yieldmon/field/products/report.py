@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from yieldmon.field.cleaning import KEPT, LOCAL, NO_PLACE
-from yieldmon.field.cleaning_rules import RULES
+from yieldmon.field.cleaning import ABOUT, KEPT, NO_PLACE
 from yieldmon.field.delay import Decision
 from yieldmon.field.grid import Grid, block_means
 from yieldmon.field.harvest import HarvestMap
@@ -31,11 +30,6 @@ MIN_AREA_POINTS = 8
 WORST = 12
 _UNKNOWN = 65_535
 _BINS = 40
-_ABOUT = {rule.name: rule.about for rule in RULES} | {
-    LOCAL: "far from the median of its neighbours, by the field's own scatter",
-    NO_PLACE: "its place, one delay before, is not in the record",
-    KEPT: "",
-}
 
 
 def write(folder: Path, result: HarvestMap, grid: Grid) -> list[Path]:
@@ -178,7 +172,7 @@ def _reasons(result: HarvestMap) -> list[dict[str, Any]]:
     rows = [
         {
             "name": name,
-            "about": _ABOUT.get(name, ""),
+            "about": ABOUT.get(name, ""),
             "points": int(counts[k]),
             "kg": round(mass.get(name, 0.0), 1),
             "share_pct": 100.0 * mass.get(name, 0.0) / whole,
@@ -188,7 +182,7 @@ def _reasons(result: HarvestMap) -> list[dict[str, Any]]:
     lost = mass.get(NO_PLACE, 0.0)
     if lost:
         rows.append(
-            {"name": NO_PLACE, "about": _ABOUT[NO_PLACE], "points": 0, "kg": round(lost, 1), "share_pct": 100.0 * lost / whole}
+            {"name": NO_PLACE, "about": ABOUT[NO_PLACE], "points": 0, "kg": round(lost, 1), "share_pct": 100.0 * lost / whole}
         )
     return rows
 
