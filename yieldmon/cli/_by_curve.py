@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from yieldmon.cli import _by_loads, _calibrate_options, _notes, _provenance, model_options
+from yieldmon.cli import _by_loads, _calibrate_options, _notes, _provenance, _reading_units, model_options
 from yieldmon.documents.calibrate import CurveCalibrationDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta
@@ -41,14 +41,14 @@ def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     if data.reading == model_options.RESPONSE and args.response_scale is None:
         raise InputError(data.path, "holds a response", "forces, momenta, or --response-scale: a curve gives flow from newtons")
     rows = model_options.measurements(data, machine, args.response_scale)
-    asked = model_options.check_force(data, machine)
+    asked = _reading_units.checked(data, machine)
     if args.plate_angle is not None:
         rows = model_options.at_plate_angle(rows, args.plate_angle, data)
     try:
         found = fit_table(machine, rows, args.estimator)
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
-    model_options.ask(asked)
+    _reading_units.ask(asked)
     return found, _provenance.of_table(data) | {"method": "table of known loads"}
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _notes, _outputs, _provenance, _table_model, model_options
+from yieldmon.cli import _named_files, _notes, _outputs, _provenance, _reading_units, _table_model, model_options
 from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._limits import whole_number
 from yieldmon.cli._table_report import report, text
@@ -45,13 +45,13 @@ def run(args: argparse.Namespace) -> int:
     _check_options(args)
     machine = model_options.machine(args)
     data, rows = _read(args, machine)
-    asked = model_options.check_force(data, machine)
+    asked = _reading_units.checked(data, machine)
     if args.by_moisture:
         done = _by_moisture(args, machine, data, rows)
-        model_options.ask(asked)
+        _reading_units.ask(asked)
         return done
     result = _fit(args, machine, data, rows)
-    model_options.ask(asked)
+    _reading_units.ask(asked)
     written = result.parameter_set
     if args.stop_gap:
         written = _with_stop_gap(machine, rows, result)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from yieldmon.cli import _named_files, _notes, _outputs, model_options
+from yieldmon.cli import _named_files, _notes, _outputs, _reading_units
 from yieldmon.cli._json import print_json
 from yieldmon.cli._limits import whole_number
 from yieldmon.discrepancy import adoption, diagnosis, planning, report
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     _check_adopt(args, source)
     data, parameters = source.data, source.parameters
     machine = data.at_one_position(machine)
-    asked = model_options.no_question if recorded.is_store(args.data) else model_options.check_force(data, machine)
+    asked = _reading_units.no_question if recorded.is_store(args.data) else _reading_units.checked(data, machine)
     options = replace(
         diagnosis.Options(),
         form=args.form,
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         found = diagnosis.diagnose(data, machine, parameters, options, progress)
     for note in data.notes:
         _notes.note(note)
-    model_options.ask(asked)
+    _reading_units.ask(asked)
     if args.json:
         print_json(to_document(found))
     else:

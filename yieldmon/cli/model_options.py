@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from functools import partial
 from math import isfinite
 from pathlib import Path
 
@@ -24,20 +23,12 @@ from yieldmon.files.table import Table
 from yieldmon.physics.effects import effect_parameter, get_effect
 from yieldmon.physics.grain import GRAIN
 from yieldmon.physics.machine import Machine
-from yieldmon.physics.model import Conditions, ForwardModel
+from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
 from yieldmon.resources import shipped
 
 RESPONSE = "response"
 """response_unit of parameters fitted to a table of `response`; N, and kg m/s per paddle, go together as "N"."""
-
-_FORCE_FACTOR = 5.0
-_ASKED_FACTOR = 2.0
-"""Times by which grains differ at most; t/h is 3.6 times, lb/s 2.2 times, a pound-force 4.4 times the unit of the table."""
-_LIKELY_RIGHT = 0.75
-"""Share of grain's readings from which units are not asked about: pounds for kilograms read 0.58 times the same grain."""
-_LEAST_MOMENTUM_KG_M_S = 0.05
-"""Below it an offset of the reading outweighs the grain."""
 
 
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
@@ -215,7 +206,7 @@ def momentum(data: Table, machine: Machine, response_scale: float | None = None)
 def measurements(data: Table, machine: Machine, response_scale: float | None = None) -> Measurements:
     """Rows for a calibration; rows without a reading are left out. Raises InputError when none is left or sigma is partial."""
     values, sigma = momentum(data, machine, response_scale)
-    load = data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
+    load = loads(data)
     usable = np.isfinite(values) & np.isfinite(load)
     if not np.any(usable):
         raise InputError(data.path, "has no row with both a load and a reading", "at least one")
@@ -223,25 +214,19 @@ def measurements(data: Table, machine: Machine, response_scale: float | None = N
     if np.any(known) and not np.all(known & (sigma[usable] > 0.0)):
         raise InputError(data.path, "column sigma has gaps or zeros", "a number above 0 in each row, or no such column")
     at = np.flatnonzero(usable)
-    return Measurements(_at(data, machine, at), values[at], sigma[at] if np.all(known) else None, at)
+    return Measurements(conditions_at(data, machine, at), values[at], sigma[at] if np.all(known) else None, at)
 
 
-def _at(data: Table, machine: Machine, rows: NDArray[np.intp]) -> Conditions:
-    """Of some rows."""
+def loads(data: Table) -> Array:
+    """The loads of a table's rows, shape (n,); nan where it has no column of them."""
+    return data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
+
+
+def conditions_at(data: Table, machine: Machine, rows: NDArray[np.intp]) -> Conditions:
+    """The conditions of some rows."""
     conditions = data.conditions(machine)
     given = {field.name: getattr(conditions, field.name) for field in fields(conditions)}
     return Conditions(**{name: np.asarray(column)[rows] for name, column in given.items() if column is not None})
-
-
-def no_question() -> str:
-    """Of a table about which nothing is asked."""
-    return ""
-
-
-def ask(question: Callable[[], str]) -> None:
-    """Of a table, once it could be used: a refusal is one line. question: that of `check_force`."""
-    if said := question():
-        _notes.note(said)
 
 
 def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measurements:
@@ -250,54 +235,6 @@ def at_plate_angle(rows: Measurements, angle_deg: float, data: Table) -> Measure
     if not np.any(chosen):
         raise InputError("--plate-angle", f"is {angle_deg:g}", f"an angle that {data.path} holds")
     return rows.select(chosen)
-
-
-def check_force(data: Table, machine: Machine) -> Callable[[], str]:
-    """Gives a question about readings in N or kg m/s that hardly any grain can give, "" for others; raises InputError for those
-    that none can, typically because of their unit. The question takes fits, which a table that is refused need not wait for.
-
-    Held against the shipped parameters: grains differ by a factor of two or less, a newton and a kilogram-force by ten. Readings
-    that are too small are asked about unless the rows refute each unit that would make them so (`unit_question.possible`): grain
-    may miss the plate, while none gives more than its momentum twice. Pounds for kilograms read some 0.6 times grain, as some
-    grain does: asked about where the rows refute kilograms, or where paddles hold less than a row's load.
-    """
-    if data.reading == RESPONSE:
-        return no_question
-    unit = {"force_n": "newtons", "momentum_kg_m_s": "kg m/s for each paddle"}[data.reading]
-    known = parameter_file.load(shipped(parameter_file.DEFAULT))
-    values, load = momentum(data, machine)[0], data.columns[data.load] if data.load is not None else np.full(len(data), np.nan)
-    at = np.flatnonzero(np.isfinite(values) & (load > 0.0))
-    predicted = ForwardModel(machine, known.effects).paddle_momentum(_at(data, machine, at), known.values, overfull="nan").real
-    usable = np.isfinite(predicted) & (np.abs(predicted) > _LEAST_MOMENTUM_KG_M_S)
-    if not np.any(usable):
-        return no_question
-    ratio = float(np.median(values[at][usable] / predicted[usable]))
-    if 1.0 / _FORCE_FACTOR <= ratio <= _FORCE_FACTOR:
-        if _LIKELY_RIGHT <= ratio <= _ASKED_FACTOR:
-            return no_question
-        rows = Measurements(_at(data, machine, at), values[at])
-        return partial(_question, data, machine, rows, ratio, unit, held=bool(np.all(np.isfinite(predicted))))
-    hint = "; these look like kilograms-force (1 kgf is 9.807 N)" if 0.05 <= ratio <= 0.2 and data.reading == "force_n" else ""
-    raise InputError(f"{data.path}: {data.reading}", f"is {ratio:.2g} times that of grain on this machine", unit + hint)
-
-
-def _question(data: Table, machine: Machine, rows: Measurements, ratio: float, unit: str, *, held: bool) -> str:
-    """That of `check_force`. ratio: of the readings to those of grain; unit: theirs; held: whether paddles hold every load."""
-    # A fit, and so scipy: most commands never ask.
-    from yieldmon.estimation.weighing import unit_question
-
-    model = ForwardModel(machine)
-    # More than a paddle holds is no machine's load, and as good a reason to ask as rows that refute their unit.
-    likely = 1.0 / _ASKED_FACTOR <= ratio < 1.0 and held
-    if likely and not unit_question.stated_is_refuted(model, rows):
-        return ""
-    if ratio < 1.0 and not unit_question.possible(model, rows, (str(data.load), data.reading)):
-        return ""
-    load_unit = "kg for each paddle" if data.load == "paddle_mass_kg" else "kg/s, not t/h or lb/s"
-    return (
-        f"{data.path}: {data.reading} is {ratio:.2g} times that of grain on this machine: "
-        f"is {data.load} in {load_unit}, and {data.reading} in {unit}?"
-    )
 
 
 def in_unit_of(data: Table, known: ParameterSet, args: argparse.Namespace) -> ParameterSet:
