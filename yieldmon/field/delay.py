@@ -231,14 +231,12 @@ class _Even:
 
 
 def _ticks(steps: Tracks) -> float:
-    first = np.flatnonzero(np.diff(steps.run, prepend=-1))
-    last = np.append(first[1:], len(steps)) - 1
+    first, last = steps.run_ends()
     return float((steps.time_s[last] - steps.time_s[first]).sum() / TICK_S) + _ROOM * len(first)
 
 
 def _even(steps: Tracks, values: Array) -> _Even:
-    first = np.flatnonzero(np.diff(steps.run, prepend=-1))
-    last = np.append(first[1:], len(steps)) - 1
+    first, last = steps.run_ends()
     length = np.round((steps.time_s[last] - steps.time_s[first]) / TICK_S).astype(np.int64) + 1
     start = _ROOM + np.concatenate(([0], np.cumsum(length + _ROOM)[:-1]))
     number = np.repeat(np.arange(len(first)), last - first + 1)

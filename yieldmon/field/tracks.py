@@ -114,6 +114,11 @@ class Tracks:
             **arrays,
         )
 
+    def run_ends(self) -> tuple[Index, Index]:
+        """The first and the last step of each run, each of shape (runs,)."""
+        first = np.flatnonzero(np.diff(self.run, prepend=-1))
+        return first, np.append(first[1:], len(self)) - 1
+
     def nearest(self, time_s: Array, stream: Index, tolerance_s: float) -> Index:
         """The step of a stream next to each time, -1 where none is within the tolerance."""
         if not len(self):

@@ -70,9 +70,8 @@ def filtered(steps: Tracks, one: Filter, *, control: bool = False) -> Array:
     Each run keeps its mass. Runs shorter than a few points, or with unknown flow, stay as they are.
     """
     out = steps.flow_kg_s.copy()
-    first = np.flatnonzero(np.diff(steps.run, prepend=-1))
-    last = np.append(first[1:], len(steps))
-    for start, end in zip(first.tolist(), last.tolist(), strict=True):
+    first, last = steps.run_ends()
+    for start, end in zip(first.tolist(), (last + 1).tolist(), strict=True):
         flow = steps.flow_kg_s[start:end]
         if end - start < _MIN_RUN or not np.isfinite(flow).all():
             continue
