@@ -91,8 +91,18 @@ def test_the_day_comes_first_where_the_harvest_then_is_shorter(capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("files", "options", "day", "said"),
     [
-        ({"h.csv": ("%d/%m/%Y", 3, ",")}, (), "2026-03-04", "no date tells: --date 2026-04-03 if that is the first"),
-        ({"h.csv": ("%m/%d/%Y", 3, ",")}, (), "2026-04-03", "no date tells: --date 2026-03-04 if that is the first"),
+        (
+            {"h.csv": ("%d/%m/%Y", 3, ",")},
+            (),
+            "2026-03-04",
+            "no date shows the order: if the first is 2026-04-03, give --date ",
+        ),
+        (
+            {"h.csv": ("%m/%d/%Y", 3, ",")},
+            (),
+            "2026-04-03",
+            "no date shows the order: if the first is 2026-03-04, give --date ",
+        ),
         ({"h.csv": ("%d/%m/%Y", 3, ",")}, ("--date", "2026-04-03"), "2026-04-03", "day/month/year"),
         ({"h.csv": ("%d/%m/%Y", 3, ";")}, (), "2026-04-03", "day/month/year"),
         ({"h.csv": ("%d/%m/%Y", 3, ","), "i.csv": ("%d/%m/%Y", 13, ",")}, (), "2026-04-03", "day/month/year"),

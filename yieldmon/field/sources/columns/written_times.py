@@ -125,7 +125,7 @@ def order_of(texts: Sequence[str], *, stated: bool | None = None, first: date | 
         return DateOrder(day_first, known=False, note=_read_as(day_first))
     day, month = (datetime.fromtimestamp(float(np.min(times[days])), UTC).date() for days in (True, False))
     read, other = (day, month) if day_first else (month, day)
-    doubt = f", the first as {read}, and no date tells: --date {other} if that is the first"
+    doubt = f", the first as {read}; no date shows the order: if the first is {other}, give --date {other}"
     return DateOrder(day_first, known=False, note=_read_as(day_first) + doubt)
 
 
