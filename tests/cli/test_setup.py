@@ -189,6 +189,8 @@ def test_a_wrong_number_is_named_in_one_line_and_nothing_is_written(tmp_path, ca
         ({"bus_interface": "SocketCAN"}, "bus_interface", "socketcan"),
         ({"cell_readings_mv": "500,597.6,695.1"}, "cell_readings_mv", [500.0, 597.6, 695.1]),
         ({"cell_weights_kg": "0,5,10"}, "cell_weights_kg", [0.0, 5.0, 10.0]),
+        ({"cell_weights_kg": "0,5000,10000 g"}, "cell_weights_kg", [0.0, 5.0, 10.0]),
+        ({"paddle_spacings_m": "165.6,207.1 mm"}, "paddle_spacings_m", [0.1656, 0.2071]),
         ({"cell_readings_mv": "500; 597,6; 695,1"}, "cell_readings_mv", [500.0, 597.6, 695.1]),
         ({"paddle_spacings_m": "0,19"}, "paddle_spacings_m", [0.19]),
         ({"paddle_spacings_m": "165.6 207,1 mm"}, "paddle_spacings_m", [0.1656, 0.2071]),

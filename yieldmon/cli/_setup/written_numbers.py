@@ -40,18 +40,19 @@ def numbers(text: str, unit: str) -> list[float]:
         For a unit that is none of this quantity.
     """
     text = text.strip()
-    if "," in text and not re.search(r"[\s;]", text) and (text.count(",") > 1 or "." in text):
-        text = text.replace(",", " ")
     found: list[tuple[float, str]] = []
     place = 0
     while place < len(text):
         part = _PART.match(text, place)
         if part is None:
             raise ValueError(text[place:])
-        digits = part[1].rstrip(",").replace(",", ".")
-        if digits.count(".") > 1:
+        digits = part[1].rstrip(",")
+        several = digits.count(",") > 1 or "." in digits
+        row = digits.split(",") if several else [digits.replace(",", ".")]
+        if not all(row) or any(number.count(".") > 1 for number in row):
             raise ValueError(part[1])
-        found.append((float(digits), part[2] or ""))
+        found += [(float(number), "") for number in row[:-1]]
+        found.append((float(row[-1]), part[2] or ""))
         place = part.end()
     factor, values = 1.0, list[float]()
     for number, written in reversed(found):
