@@ -33,6 +33,7 @@ def run(args: argparse.Namespace) -> CurveCalibrationDocument:
 def _of_table(args: argparse.Namespace) -> tuple[CurveFit, dict[str, str]]:
     if args.data is None:
         raise InputError("DATA", "is missing", "a table of a test facility, or --loads and --tickets")
+    _calibrate_options.refuse_load_options(args)
     machine = model_options.machine(args)
     data = table.load(args.data)
     for note in data.notes:

@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from yieldmon.cli import _named_files, _notes, _outputs, _provenance, _reading_units, _table_model, model_options
+from yieldmon.cli import (
+    _calibrate_options,
+    _named_files,
+    _notes,
+    _outputs,
+    _provenance,
+    _reading_units,
+    _table_model,
+    model_options,
+)
 from yieldmon.cli._json import print_document, print_json
 from yieldmon.cli._limits import whole_number
 from yieldmon.cli._table_report import report, text
@@ -78,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_options(args: argparse.Namespace) -> None:
     """What can be refused before anything is read."""
+    _calibrate_options.refuse_load_options(args)
     whole_number("--starts", args.starts, 1)
     whole_number("--seed", args.seed, 0)
     if args.stop_gap:

@@ -30,3 +30,9 @@ def refuse_table(args: argparse.Namespace, option: str) -> None:
     """Raises InputError for a table of a test facility, where another option excludes it."""
     if args.data is not None:
         raise InputError(args.data, f"is given together with {option}", "either a table of a test facility or weighed loads")
+
+
+def refuse_load_options(args: argparse.Namespace) -> None:
+    """Raises InputError for an option that applies to logs and weighed loads, where a table of a test facility is given."""
+    refuse(args, ("tickets",), "applies to weighed loads only", "--loads with it, instead of a table")
+    refuse(args, ("config",), "applies to logs and weighed loads only", "--machine FILE for a table")
