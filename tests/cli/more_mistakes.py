@@ -213,6 +213,8 @@ MISTAKES = {
     "export x.parquet --out x.csv": "x.parquet: Could not open Parquet input source 'x.parquet': Parquet file size",
     "export other.db --out x.png": "--out: is x.png; expected a name that ends in one of .csv, .parquet,",
     "export other.db --out x.geojson --what loads": "--what: loads as geojson; expected loads as csv or parquet",
+    "export other.db --out x.csv --what loads --field north": "--field: has no meaning with loads; expected --what points",
+    "export other.db --out x.csv --swath 9": "--swath: has no meaning with seconds; expected --what points",
     "export other.db --out x.geojson": "other.db: is an SQLite file of another program; expected a store of this",
     "export folder --out x.csv": "folder: unknown kind of record ''; expected a name that ends in one of",
     "signals nowhere.log": "nowhere.log: No such file or directory; expected a readable CAN log",

@@ -33,6 +33,8 @@ ENDINGS = {
 FORMATS = tuple(ENDINGS.values())
 TABLES = ("csv", "parquet")
 _FIELD, _GRAIN = "field", "corn"
+_OF_POINTS = ("swath", "reference_moisture", "field", "grain")
+"""Options that have no default and say something of yield points."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -86,6 +88,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--what", f"{what} as {kind}", f"{what} as {' or '.join(TABLES)}")
     if args.all and what != "loads":
         raise InputError("--all", f"has no meaning with {what}", "--what loads")
+    for option in _OF_POINTS if what != "points" else ():
+        if getattr(args, option) is not None:
+            raise InputError(f"--{option.replace('_', '-')}", f"has no meaning with {what}", "--what points")
     if what == "loads":
         loads = recorded.read_loads(args.record)
         empty = frozenset() if args.all else frozenset(empty_loads(loads))
