@@ -233,6 +233,8 @@ MISTAKES = {
     "ticket 1 -5": "mass: '-5'; expected kilograms above 0, such as 9120, 9120kg, 9.12t or",
     "ticket undo": "ticket undo: no number; expected the number of a ticket, as `yieldmon ticket",
     "ticket undo x": "ticket undo: is 'x'; expected the number of a ticket, as `yieldmon ticket",
+    "ticket undo 2 --note slip": "--note: has no meaning with undo; expected a load and its mass with it",
+    "ticket list --std-dev 40kg": "--std-dev: has no meaning with list; expected a load and its mass with it",
     "ticket list 4": "ticket list: '4' has no meaning here; expected no further word",
     "calibrations undo -1": "VERSION: is -1; expected a version from `yieldmon calibrations list`",
     "totals archive diary.txt --store other.db": "diary.txt: exists already; expected a new file",

@@ -56,6 +56,10 @@ def run(args: argparse.Namespace) -> int:
     # `9.12 t` is one mass.
     args.mass = " ".join(args.mass) if args.mass else None
     if args.loads in ("list", "undo"):
+        for name in ("std_dev", "other", "other_std_dev", "note"):
+            if getattr(args, name) is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise InputError(option, f"has no meaning with {args.loads}", "a load and its mass with it")
         return _listed(args) if args.loads == "list" else _undone(args)
     first, last = load_numbers(args.loads)
     if args.mass is None:
