@@ -1,4 +1,5 @@
-"""Other explanations than the named effects: another law of one of them, one plate angle off by itself, a single angle."""
+"""Other explanations than the named effects: another law of one of them, one plate angle off by itself, a single angle,
+a law without a cause."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import pytest
 from studies.hidden_effects import generator
 from tests.discrepancy.conftest import GRAIN
 from yieldmon.discrepancy import diagnosis, diagnosis_notes
-from yieldmon.discrepancy.alternatives import chosen_from_all, needed, one_angle_off
+from yieldmon.discrepancy.alternatives import by_powers, chosen_from_all, needed, one_angle_off
 from yieldmon.discrepancy.choice import Choice, Step
 from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.lack_of_fit import lack_of_fit
@@ -17,6 +18,7 @@ from yieldmon.discrepancy.observations import Rows, with_cells
 from yieldmon.discrepancy.policy import Policy
 from yieldmon.discrepancy.selection import Search
 from yieldmon.estimation import model_error
+from yieldmon.physics.machine import Machine
 
 NOTHING = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
 COST = Policy().per_parameter
@@ -201,3 +203,38 @@ def test_no_effect_is_left_out_that_is_needed(make_rows, start) -> None:
     library = ("zero_offset", "speed_dependent_shape")
     search = Search(base=base, noise=noise, effects=library, rng=np.random.default_rng(1))
     assert search.without_unneeded(fit(base.frame, library, base.values), 0.0) is None
+
+
+def test_a_law_of_powers_has_no_cause(make_rows, start) -> None:
+    """Two effects with sizes at will follow it to 0.7 % of the largest reading; the laws' errors cover the rest."""
+
+    angle, speed, flow, trial = (
+        a.ravel()
+        for a in np.meshgrid(
+            np.radians(np.arange(40.0, 91.0, 10.0)),
+            np.array([340.0, 400.0, 460.0]) * generator.RPM,
+            [2.0, 5.0, 9.0, 13.0, 18.0],
+            [1, 2, 3],
+            indexing="ij",
+        )
+    )
+    force = 160.0 * (flow / 10.0) ** 0.93 * (speed / (400.0 * generator.RPM)) ** 0.8 * np.sin(angle) ** 1.6
+    sd = 0.01 * np.hypot(force, 0.15 * force.max())
+    nothing = np.full(len(force), np.nan)
+    rows = Rows(
+        Machine(), "mass_flow_kg_s", "force", True, angle, speed, flow, nothing,
+        force + sd * np.random.default_rng(1).standard_normal(force.shape), nothing, tuple(map(str, trial)),
+        np.zeros(len(force), dtype=np.int64),
+    )  # fmt: skip
+    choice = diagnosis.examine(with_cells(rows), start).choice
+    assert choice.steps
+    assert choice.verdict == "unknown"
+    assert "without a cause" in choice.objection
+
+
+@pytest.mark.parametrize("effects", [{}, {"zero_offset": 4.0}, {"plate_friction": 0.3}, {"jet_shielding": 0.5}], ids=str)
+@pytest.mark.parametrize("speeds_rpm", [(400.0,), (340.0, 400.0, 460.0)], ids=["one speed", "three"])
+def test_grain_follows_no_law_of_powers(make_rows, start, effects, speeds_rpm) -> None:
+    base, _ = published(make_rows(effects, speeds_rpm=speeds_rpm, noise=0.03), start)
+    found = fit(base.frame, tuple(effects), base.values)
+    assert by_powers(base, misfit([found]), COST) > merit(found, misfit([found]), Policy())

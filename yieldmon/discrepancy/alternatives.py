@@ -1,6 +1,7 @@
-"""Alternative explanations of rows that suggest an effect: other laws of the same causes, and errors at one plate angle.
+"""Alternative explanations of rows that suggest an effect: other laws of the same causes, errors at one plate angle, and a law
+without a cause.
 
-Both are errors of the model with wider priors than `Fit.shape_error`, which is for laws that are approximately correct.
+The first two are errors of the model with wider priors than `Fit.shape_error`, which is for laws that are approximately correct.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ TILTED = 1
 """Degree, in angle, load and speed, of the factor by which another law differs."""
 FREE_SHAPE = 2
 """The same for a law that may also differ in curvature."""
+_VARIED = 1e-3
+"""Relative range above which load, speed or angle has a power."""
+_ITERATIONS, _LARGEST_LOG = 20, 50.0
 VERY_STRONG = 10.0
 """Very strong evidence, as twice its logarithm (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995)."""
 
@@ -93,6 +97,35 @@ def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | N
         for columns in ([constant], [share], [constant, share], [constant, share, *varying]):
             found.append(OneAngle(at, base.beside(np.column_stack(columns), scale, per_parameter)))
     return min(found, key=lambda one: one.merit, default=None)
+
+
+def by_powers(base: Fit, scale: float, per_parameter: float) -> float | None:
+    """-2 log evidence of readings in proportion to powers of load, elevator speed and sin(plate angle), without any cause.
+
+    The fit is that of a generalised linear model with a logarithmic link (Nelder and Wedderburn, J. R. Stat. Soc. A 135, 1972).
+    None if a logarithm does not exist.
+    """
+    cells, sd = base.frame.cells, base.frame.sd
+    axes = np.stack((cells.load, cells.elevator_speed_rad_s, np.sin(cells.plate_angle_rad)))
+    if np.any(axes <= 0.0):
+        return None
+    varied = np.log(axes[np.ptp(axes, axis=1) > _VARIED * np.max(axes, axis=1)])
+    columns = np.column_stack((np.ones(len(sd)), *(axis - axis.mean() for axis in varied)))
+    predicted = model_error.level(cells.mean)
+    for _ in range(_ITERATIONS):
+        weight = predicted / sd
+        power = np.linalg.lstsq(
+            columns * weight[:, None], (np.log(predicted) + cells.mean / predicted - 1.0) * weight, rcond=None
+        )[0]
+        predicted = np.exp(np.clip(columns @ power, -_LARGEST_LOG, _LARGEST_LOG))
+    tangent = model_error.orthonormal(columns * (predicted / sd)[:, None])
+    left = (predicted - cells.mean) / sd
+    own = base.frame.model_error * base.free * (model_error.level(predicted) / sd)[:, None]
+    error = model_error.off(own, tangent)
+    small = np.eye(error.shape[1]) + error.T @ error
+    along = error.T @ left
+    chi2 = float(left @ left - along @ np.linalg.solve(small, along))
+    return chi2 / scale + float(np.linalg.slogdet(small)[1]) + per_parameter * float(columns.shape[1])
 
 
 def of_other_laws(found: Fit, degree: int) -> Array:

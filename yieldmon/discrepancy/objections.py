@@ -9,7 +9,7 @@ import numpy as np
 
 from yieldmon.physics.effects import family_of
 
-from .alternatives import chosen_from_all, needed, one_angle_off
+from .alternatives import by_powers, chosen_from_all, needed, one_angle_off
 from .choice import Step, rows_searched
 from .fit import Fit, fit
 from .lack_of_fit import lack_of_fit, lack_of_fit_but_one
@@ -75,7 +75,7 @@ class Objections:
             return f"{100.0 * left:.1f} % of the excess is left with it {searched}, more than {most:.0f} %"
         if not other_law and self.unexplained(current):
             return f"F = {test.f:.2f} is left with it {searched}, more than what its law may be off explains"
-        return self._other_laws(current) or self._of_one_angle(current) or self._of_order(current)
+        return self._other_laws(current) or self._of_powers(current) or self._of_one_angle(current) or self._of_order(current)
 
     def _other_laws(self, current: Fit) -> str:
         """Why other laws of the other effects may explain the rows instead of one of several effects; "" if none may."""
@@ -95,6 +95,14 @@ class Objections:
                 f"and other laws would serve (chi-square {max(gain, 0.0):.0f} worse, where {least:.0f} are needed)"
             )
         return ""
+
+    def _of_powers(self, current: Fit) -> str:
+        """Why a law without a cause explains the rows better; "" if it does not."""
+        scale = misfit([current])
+        without_cause = by_powers(self.base, scale, self.policy.per_parameter)
+        if without_cause is None or without_cause >= merit(current, scale, self.policy):
+            return ""
+        return "powers of load, elevator speed and sin(plate angle) alone, without a cause, explain the rows better"
 
     def _of_one_angle(self, current: Fit) -> str:
         """Why the rows of a single plate angle may be wrong; "" if there is no sign of it."""
