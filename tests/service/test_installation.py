@@ -111,8 +111,15 @@ def test_the_checkout_is_what_a_checkout_installs() -> None:
 
 @pytest.mark.parametrize(
     ("options", "wrong"),
-    [(["--command", "bin/yieldmon"], "absolute path"), (["--purge"], "--uninstall")],
-    ids=["relative", "purge alone"],
+    [
+        (["--command", "bin/yieldmon"], "absolute path"),
+        (["--purge"], "--uninstall"),
+        (
+            ["--uninstall", "--web"],
+            "--web: with --uninstall, which removes the page and the service; expected --uninstall",
+        ),
+    ],
+    ids=["relative", "purge alone", "the page alone"],
 )
 def test_bad_options(options: list[str], wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install", *options, "--dry-run"]) == 2

@@ -72,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--interface", str(error), "a name such as can0 or can-rear") from error
     if args.rollback and args.uninstall:
         raise InputError("--rollback", "with --uninstall", "one of the two")
+    if args.uninstall and args.web:
+        unit = "`systemctl disable --now yieldmon-web` for the page alone"
+        raise InputError("--web", "with --uninstall, which removes the page and the service", f"--uninstall alone, or {unit}")
     if args.purge and not args.uninstall:
         raise InputError("--purge", "without --uninstall", "both")
     if root == Path("/") and os.geteuid() != 0 and not args.dry_run:
