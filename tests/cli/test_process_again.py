@@ -199,9 +199,17 @@ def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_
 def test_whose_machine_and_grain_measured_is_said_where_no_configuration_is_given(capsys, tmp_path, logs, own) -> None:
     own_one = tmp_path / "yieldmon.yaml"
     own_one.write_text("machine_file: null\n")
-    cases = [((), "the shipped machine and crop;"), (("--params", own), "the shipped machine;"), (("--config", own_one), "")]
+    log, store = logs["whole"], (STORE, "--delay", 3)
+    cases = [
+        ((log,), "the shipped machine and crop; for logs"),
+        ((log, "--params", own), "the shipped machine; for logs"),
+        ((log, "--config", own_one), ""),
+        (store, "the shipped machine; for a store"),
+        ((*store, "--config", own_one), ""),
+    ]
     for words, expected in cases:
-        code, _, err = process(capsys, tmp_path, logs["whole"], *words)
+        (tmp_path / "out.csv").unlink(missing_ok=True)
+        code, _, err = process(capsys, tmp_path, *words)
         assert code == 0, err
         assert (expected in err) if expected else ("the shipped machine" not in err)
 

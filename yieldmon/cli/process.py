@@ -97,7 +97,10 @@ def run(args: argparse.Namespace) -> int:
         _notes.note(note, "note")
     units = units_of(args.units, loaded.document.units, loaded.parameters.provenance.get("crop", ""))
     if any(is_store_not_log(log) for log in args.logs):
-        return _store_again(args, loaded, units)
+        _store_again(args, loaded, units)
+        if args.config is None:
+            _note_shipped("machine", "a store")
+        return 0
     if args.delay:
         raise InputError("--delay", "does not apply to a log", "a store; with the table of a log `yieldmon export --flow-delay`")
     refuse_copies(args.logs)
@@ -106,11 +109,15 @@ def run(args: argparse.Namespace) -> int:
     else:
         _together(args, loaded, units)
     if args.config is None:
-        grain = "" if args.params or args.estimator else " and crop"
-        _notes.note(f"measured with the shipped machine{grain}; for logs of another machine give --config", "note")
+        _note_shipped("machine" if args.params or args.estimator else "machine and crop", "logs")
     if loaded.parameters.scale_error > 0.0:
         _notes.note(_notes.not_calibrated(loaded.parameters.scale_error, loaded.parameters.carried_from), "note")
     return 0
+
+
+def _note_shipped(what: str, of: str) -> None:
+    """On what was taken from the shipped files. of: what was measured with it."""
+    _notes.note(f"measured with the shipped {what}; for {of} of another machine give --config", "note")
 
 
 def _together(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> None:
@@ -151,7 +158,7 @@ def _check(args: argparse.Namespace) -> None:
     whole_number("--jobs", args.jobs, 1)
 
 
-def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> int:
+def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> None:
     """A store's seconds, measured again with what is known of them."""
     if len(args.logs) > 1 or args.separate:
         raise InputError("LOG", "names a store together with other sources", "one store alone")
@@ -181,7 +188,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
             "seconds_unusable": found.unusable,
         }  # fmt: skip
         print_json(document)
-        return 0
+        return
     before, after = units.mass_with_bushels(found.before_kg), units.mass_with_bushels(found.after_kg)
     print(f"{len(rows)} s, {after}; as measured {before}", file=sys.stderr)
     for load in loads:
@@ -189,7 +196,6 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
         print(f"load {load['load']}: {now}; as measured {was}", file=sys.stderr)
     if found.unusable:
         print(f"{found.unusable} s without a known force, angle or speed are unchanged", file=sys.stderr)
-    return 0
 
 
 def _separately(args: argparse.Namespace, config: str | Path, units: Units) -> None:
