@@ -6,6 +6,7 @@ import json
 import shutil
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -255,9 +256,17 @@ def test_the_parameters_adopted_are_no_surer_of_the_scale_than_their_parents(
     assert adopted.standard_deviation("density") / adopted.values["density"] >= scale_sd
 
 
-def test_nothing_is_named_in_a_machine_that_the_model_knows(clean: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["diagnose", str(clean), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "none"
+@pytest.mark.parametrize(("machine", "asked"), [(MACHINE.name, False), ("combine", True)])
+def test_nothing_is_named_in_a_machine_that_the_model_knows(
+    clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], machine: str, asked: bool
+) -> None:
+    """machine: for which the parameters say that they were made."""
+    parameter_file.save(replace(SHIPPED, provenance={**SHIPPED.provenance, "machine": machine}), tmp_path / "p.yaml")
+    assert main(["diagnose", str(clean), "--json", "--params", str(tmp_path / "p.yaml")]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["verdict"] == "none"
+    question = "made for another machine (the name combine, here sprocket-8): is --machine the one that measured these sweeps?"
+    assert (question in err) == asked
 
 
 @pytest.mark.parametrize(

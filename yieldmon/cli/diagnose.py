@@ -20,7 +20,7 @@ from yieldmon.discrepancy.fit import Fit
 from yieldmon.errors import InputError
 from yieldmon.estimation.fitting.stop_gap import without_stop_gap
 from yieldmon.estimation.parameters import ParameterSet
-from yieldmon.files import parameter_file, table, whole_file
+from yieldmon.files import calibrated_machine, parameter_file, table, whole_file
 from yieldmon.files.table import Table
 from yieldmon.files.whole_file import check_place, real_path
 from yieldmon.physics.effects import registry
@@ -198,6 +198,9 @@ def _from_store(args: argparse.Namespace, machine: Machine) -> _Source:
     path = _named_files.parameters_path(args.params) if args.params is not None else None
     parameters = parameter_file.load(path) if path is not None else sweep_table.given_parameters(args.data)
     parameters = without_stop_gap(parameters)
+    if difference := calibrated_machine.difference(parameters, machine):
+        said = f"its parameters were made for another machine ({difference})"
+        _notes.note(f"{args.data}: {said}: is --machine the one that measured these sweeps?")
     found = sweep_table.read(args.data, machine, parameters, args.sweeps)
     if args.table is not None:
         whole_file.write(args.table, found.text)
