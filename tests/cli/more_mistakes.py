@@ -94,6 +94,8 @@ MISTAKES = {
     "estimate table.csv --estimator p.yaml": "p.yaml: is a parameter file; expected a curve that `calibrate --estimator` has",
     "estimate table.csv --estimator nowhere.yaml": "nowhere.yaml: No such file or directory; expected a readable YAML file",
     "process log.log --estimator p.yaml --out x.csv": "p.yaml: is a parameter file; expected a curve that `calibrate --estimator`",
+    "calibrate table.csv --by-moisture --compare": "--compare: cannot be combined with --by-moisture; expected one of the two",
+    "calibrate table.csv --by-moisture --profiles p.png": "--profiles: cannot be combined with --by-moisture; expected one of",
     "calibrate table.csv --config nowhere.yaml": "--config: applies to logs and weighed loads only; expected --machine FILE for",
     "calibrate table.csv --tickets nowhere.csv": "--tickets: applies to weighed loads only; expected --loads with it, instead of",
     "calibrate table.csv --estimator table --config nowhere.yaml": "--config: applies to logs and weighed loads only; expected",

@@ -45,6 +45,11 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 PROGRESS_AFTER_S = 2.0
+_NOT_WITH = {
+    "stop_gap": ("prior", "by_moisture", "robust"),
+    "by_moisture": ("compare", "identifiability", "profiles"),
+}
+"""Options that do not go with one, by its name in the namespace."""
 MAP_NAME = "moisture-map.yaml"
 """Of `--by-moisture`, in the folder of its parameter files."""
 
@@ -90,10 +95,10 @@ def _check_options(args: argparse.Namespace) -> None:
     _calibrate_options.refuse_load_options(args)
     whole_number("--starts", args.starts, 1)
     whole_number("--seed", args.seed, 0)
-    if args.stop_gap:
-        for option, given in (("--prior", args.prior), ("--by-moisture", args.by_moisture), ("--robust", args.robust)):
-            if given:
-                raise InputError(option, "cannot be combined with --stop-gap", "one of the two")
+    for chosen, others in _NOT_WITH.items():
+        if getattr(args, chosen):
+            problem = f"cannot be combined with --{chosen.replace('_', '-')}"
+            _calibrate_options.refuse(args, others, problem, "one of the two")
     if args.out is not None and not args.by_moisture:
         whole_file.check_place(args.out)
     if args.profiles is not None:
