@@ -267,6 +267,6 @@ def compare(tracker: ZeroTracker, model: Model) -> None:
     assert (tracker.calibrating, tracker.suspect) == (model.calibrating, model.suspect)
     assert (tracker.known_s, tracker.taken_from_s, tracker.progress) == (model.known_s, model.taken_from_s, model.progress)
     assert (tracker.looks_empty, tracker.looks_loaded) == (model.looks_empty, model.looks_loaded)
-    assert (tracker.below_empty, tracker.drifted) == (model.below_empty, model.drifted)
+    assert (tracker.below_empty, bool(tracker.drift)) == (model.below_empty, model.drifted)
     assert (tracker.far_mv if zero is not None else 0.0) == (model.far_mv if zero is not None else 0.0)
     assert tracker.level_says_nothing == (model.looked_empty if model.calibrating else model.looks_empty)

@@ -49,7 +49,7 @@ def test_a_zero_is_suspect_that_was_taken_against_the_signs_and_is_another(
     assert machine.tracker.calibrating
     machine.sees(level_mv)
     assert not machine.tracker.calibrating
-    assert (machine.zero_mv, machine.tracker.suspect, machine.tracker.drifted) == (level_mv, suspect, suspect)
+    assert (machine.zero_mv, machine.tracker.suspect, bool(machine.tracker.drift)) == (level_mv, suspect, suspect)
     machine.tracker.undo()
     assert (machine.zero_mv, machine.tracker.suspect, machine.tracker.before) == (EMPTY_MV, False, None)
 

@@ -219,11 +219,6 @@ class ZeroTracker:
             return None
         return self._recent.departure(state.vibration_mv, state.speed_rad_s)
 
-    @property
-    def drifted(self) -> bool:
-        """Whether the zero is further from the first zero than allowed, or the empty level too far from the zero to follow."""
-        return bool(self.drift)
-
     def _far_mv(self, state: ZeroState) -> float:
         """Difference of the empty level from the zero, mV, as last seen; 0 where it is near enough to follow."""
         if not self.looks_empty:
