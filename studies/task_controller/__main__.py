@@ -1,7 +1,8 @@
 """Our task controller client against a server made of AgIsoStack++: does it take the pool, and does our flow come at 1 Hz?
 
     python -m studies.task_controller --source FOLDER --build FOLDER
-    tools/vcan-vm --host-time --share OUT -- python -m studies.task_controller --build FOLDER [--seconds S] [--log OUT/FILE]
+    tools/vcan-vm --machine qemu --host-time --share OUT -- python -m studies.task_controller --build FOLDER
+        [--seconds S] [--log OUT/FILE]
 
 `--source` is a checkout of AgIsoStack++ (github.com/Open-Agriculture/AgIsoStack-plus-plus), which is not part of this repository;
 `--build` takes what cmake and g++ make of it. Server, daemon and virtual combine run as they are on a SocketCAN interface. Prints
