@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -147,9 +147,6 @@ def combine(channel: str, folder: Path, scenario: str) -> Iterator[None]:
     path.write_text(scenario)
     words = ["simulate", "--scenario", str(path), "--truth", str(folder / "truth.csv"), "-i", "socketcan", "-c", channel]
     node = Command(words, folder / "combine.txt", {})
-    # A combine's own computers do not wait for ours. Only root may say so.
-    with suppress(PermissionError):
-        os.sched_setscheduler(node.process.pid, os.SCHED_FIFO, os.sched_param(10))
     try:
         yield
     except BaseException:
