@@ -31,9 +31,11 @@ zero: {first_zero_windows: 1}
 
 @dataclass(frozen=True)
 class Drive:
-    """candump's log, the store, the last status, and the true plate angle of each second."""
+    """candump's log, the number of its frames with the network's, the store, the last status, and the true plate angle of each
+    second."""
 
     log: list[Recorded]
+    recorded: int
     rows: list[SecondRow]
     events: list[FaultEvent]
     sweeps: list[SweepRecord]
@@ -68,4 +70,4 @@ def drive(channel: str, folder: Path, sweep: str, over: Callable[[DaemonNode], o
         rows, events, sweeps = store.seconds(), store.faults(), store.sweeps()
     with (folder / "truth.csv").open(encoding="utf-8", newline="") as stream:
         true_angles_deg = [float(row["plate_angle_deg"]) for row in csv.DictReader(stream)]
-    return Drive(read_back(log), rows, events, sweeps, status, true_angles_deg)
+    return Drive(read_back(log), len(log.read_text().splitlines()), rows, events, sweeps, status, true_angles_deg)
