@@ -105,7 +105,7 @@ def test_a_distance_that_goes_on_is_a_sum(capsys: pytest.CaptureFixture[str]) ->
     )
     assert code == 0, said
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.035)
-    assert "distance (ft) is a sum that goes on" in said
+    assert "distance (ft) is a running total" in said
 
 
 @pytest.mark.parametrize(("name", "value"), [("speed (km/h)", SPEED_M_S), ("distance (in)", SPEED_M_S / FOOT_M)])
