@@ -18,6 +18,7 @@ FILES = {
     "other.dbc": COUNTS.dbc.replace("Linear", "Lineal"),
     "twins.dbc": COUNTS.dbc + TWIN.format(801, "Twin"),
     "names.dbc": COUNTS.dbc + TWIN.format(901, "Linear"),
+    "grad.dbc": COUNTS.dbc.replace('"deg"', '"Grad"'),
     "beyond.dbc": COUNTS.dbc.replace("SG_ Tilt : 7|", "SG_ Tilt : 15|"),
     "marks.dbc": COUNTS.dbc.replace("BO_ 802 ", "BO_ 1075054137 "),
     "nested.dbc": """VERSION ""
@@ -35,6 +36,14 @@ SG_MUL_VAL_ 1024 Deep Sub 2-2, 5-6;
 CASES = {
     "wrong unit": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, unit: kPa}", "plate_angle.unit", "'kPa'", "deg",
+    ),
+    "degrees or gradians": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, unit: grad}",
+        "plate_angle.unit", "'grad' (degrees in some languages and gradians of 0.9 degrees in others); expected one of deg",
+    ),
+    "degrees or gradians in the DBC": (
+        "plate_angle: {dbc: grad.dbc, message: Linear, signal: Tilt}",
+        "plate_angle.unit", "is 'Grad' in the DBC (degrees in some languages", "expected one of deg",
     ),
     "unit of the DBC": ("plate_angle: {dbc: counts.dbc, message: EEC1, signal: EngineSpeed}", "plate_angle.unit", "'rpm'", "deg"),
     "impact without a unit": (
@@ -61,6 +70,13 @@ CASES = {
     "valid by no raw value": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: {Tilt: [1, 99999]}}",
         "plate_angle.valid", "99999", "to 65535",
+    ),
+    "valid by itself": (
+        "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: {Tilt: 1}}",
+        "plate_angle.valid", "Tilt is the signal itself; expected another signal of the message", "range",
+    ),
+    "impact valid by itself": (
+        IMPACT.replace("}", ", valid: {Counts: 1}}"), "impact_voltage.valid", "Counts is the signal itself", "another signal",
     ),
     "valid by a word": (
         "plate_angle: {dbc: counts.dbc, message: Linear, signal: Tilt, valid: Tilt}",

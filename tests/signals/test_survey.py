@@ -163,6 +163,12 @@ STATE = (
 VAL_ 516 ActuatorState 2 "fault" ;
 """
 )
+GRAD = (
+    HEAD
+    + """BO_ 516 Plate: 2 Node
+ SG_ PlateAngle : 0|16@1+ (0.1,0) [0|6553.5] "Grad" Node
+"""
+)
 HEADER = (
     HEAD
     + """BO_ 516 Switches: 1 Node
@@ -420,6 +426,15 @@ def test_channels_of_one_frame_are_one_proposal(unit: str, moves: int, first: st
             [(516, bytes([place % 3])) for place in range(100)],
             ["actuator_state: {dbc: node.dbc, message: Plate, signal: ActuatorState}"],
             id="a state that is a fault",
+        ),
+        pytest.param(
+            GRAD,
+            [(516, (600 + place % 100).to_bytes(2, "little")) for place in range(100)],
+            [
+                "# The unit is a guess: degrees (if the DBC means gradians: unit: deg, scale: 0.9).",
+                "plate_angle: {dbc: node.dbc, message: Plate, signal: PlateAngle, unit: deg}",
+            ],
+            id="degrees or gradians",
         ),
         pytest.param(
             HEADER,

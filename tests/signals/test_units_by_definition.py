@@ -78,7 +78,7 @@ def test_temperatures_have_a_zero_of_their_own(unit: str, water_freezes: float, 
     ("rpm", "rev/min", "rpm"), ("rpm", "R/min", "rpm"), ("rpm", "Unit_MinutInver", "rpm"), ("km/h", "km / h", "km/h"),
     ("km/h", "m/sec", "m/s"), ("km/h", "knots", "kn"), ("km/h", "Unit_KiloMeterPerHour", "km/h"), ("deg", "radians", "rad"),
     ("mV", "Volts", "V"), ("N", "Unit_KiloNewto", "kN"), ("kg", "LBS", "lb"), ("%", "Unit_PerCent", "%"),
-    ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"), ("deg", "Grad", "deg"), ("%", "Prozent", "%"),
+    ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"), ("deg", "Winkelgrad", "deg"), ("%", "Prozent", "%"),
     ("rpm", "Umdr/min", "rpm"), ("rpm", "U/s", "1/s"), ("rpm", "tr/min", "rpm"), ("rpm", "s-1", "1/s"), ("deg", "degrés", "deg"),
     ("deg", "milliarcseconds", "mas"), ("deg", "arcminutes", "arcmin"),
 ])  # fmt: skip

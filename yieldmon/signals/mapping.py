@@ -17,7 +17,7 @@ from yieldmon.network.assembly import MAX_BYTES
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.signals.binding import IMPACT, Binding, Source, check, check_source, named_message, named_signal
 from yieldmon.signals.extraction import Extraction, named_no_value
-from yieldmon.signals.units import accepted, factor, period_s, zero
+from yieldmon.signals.units import accepted, factor, may_be, period_s, zero
 
 Pages = tuple[tuple[Extraction, tuple[int, ...]], ...]
 Load = Callable[[str], Mapping[str, MessageBits]]
@@ -210,6 +210,8 @@ def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signa
     for flag, values in binding.valid.items():
         for raw in values:
             _raw(binding, message.signals[flag], "valid", raw)
+        if flag == name:
+            raise binding.refuse("valid", f"{name} is the signal itself", "another signal of the message; for its own: range")
     taken = {page.bits.name: values for page, values in _pages(binding, message)}
     for above, values in message.pages(signal):
         wanted = set(taken.get(above.name, ()))
@@ -262,7 +264,7 @@ def _unit_factor(binding: Binding, unit_of_dbc: str) -> float:
     if found is None and binding.unit is None and wanted == "":
         return 1.0
     if found is None:
-        said = f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC"
+        said = (f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC") + may_be(unit)
         known = (
             f"{accepted(wanted)}, or s, ms, us between two pulses" if binding.quantity == "elevator_speed" else accepted(wanted)
         )

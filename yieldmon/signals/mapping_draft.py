@@ -19,14 +19,16 @@ from yieldmon.signals.signal_fit import (
     of_another_shaft,
 )
 from yieldmon.signals.survey import Survey
-from yieldmon.signals.units import period_s
+from yieldmon.signals.units import likely, period_s
 
 _RATIO, _PULSES, _COUNTS, _EXCITATION = "ratio: 0.2", "pulses_per_turn: 1", "scale: 0.1", "scale: 5"
+_DEGREES = "unit: deg"
 _GUESSES = {
     _RATIO: "The ratio is a guess: turns of the elevator's upper shaft per turn of the measured one.",
     _PULSES: "pulses_per_turn is a guess: magnets or teeth of the elevator's upper shaft.",
     _COUNTS: "The scale is a guess: mV per count (if `setup` was given counts: unit: mV, no scale); `offset` if counts fall.",
     _EXCITATION: "The scale is a guess: volts that feed the bridge (if `setup` was given mV/V: unit: mV, no scale).",
+    _DEGREES: "The unit is a guess: degrees (if the DBC means gradians: unit: deg, scale: 0.9).",
 }
 """Keys of an entry that the bus does not show -> what is said of them."""
 _NEEDED = {
@@ -221,6 +223,8 @@ def _entries(
         keys.append(f"unit: {weighs}")
     if found.quantity == "elevator_speed" and (not found.unit or _is_pulsed(found)):
         keys.append(_PULSES)
+    if likely(found.unit) != found.unit:
+        keys.append(f"unit: {likely(found.unit)}")
     if found.not_available:
         keys.append(f"not_available: {list(found.not_available)}")
     if found.values:

@@ -23,7 +23,7 @@ from yieldmon.signals.binding import check_source, named_message, named_signal
 from yieldmon.signals.mapping import Load, SignalMap, any_of, any_source
 from yieldmon.signals.packing import Packing, encoded, span
 from yieldmon.signals.published import PUBLISHED, Published
-from yieldmon.signals.units import accepted, factor
+from yieldmon.signals.units import accepted, factor, may_be
 
 OWN = "own"
 MIN_PERIOD_MS, MAX_PERIOD_MS = 50.0, 10_000.0
@@ -262,7 +262,7 @@ def _factor(binding: OutputBinding, quantity: Published, signal: SignalBits) -> 
     unit = binding.unit if binding.unit is not None else signal.unit
     found = 1.0 if unit == "" else factor(quantity.unit, unit)
     if found is None:
-        said = f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC"
+        said = (f"{unit!r}" if binding.unit is not None else f"is {unit!r} in the DBC") + may_be(unit)
         expected = f"one of {accepted(quantity.unit)} for {binding.quantity}" if quantity.unit else "no unit"
         raise binding.refuse("unit", said, expected)
     return found

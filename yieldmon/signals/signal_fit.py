@@ -11,7 +11,7 @@ from yieldmon.bus.databases import SignalBits
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.signals.binding import IMPACT, MIN_RATE_HZ
 from yieldmon.signals.survey import MessageSeen, SignalSeen
-from yieldmon.signals.units import factor, period_s, zero
+from yieldmon.signals.units import factor, likely, period_s, zero
 from yieldmon.units import KG_PER_LB
 
 _LEAST_OF_RATE = 0.95
@@ -176,8 +176,9 @@ def _slow_score(quantity: str, message: str, rate_hz: float, signal: SignalSeen,
     speed = quantity == "elevator_speed"
     if speed and (of_pulses := _pulses_score(signal)) is not None:
         return of_pulses
-    found = factor(QUANTITIES[quantity].unit, signal.bits.unit) if signal.bits.unit else None
-    if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(QUANTITIES[quantity].unit, signal.bits.unit)):
+    own, unit = QUANTITIES[quantity].unit, likely(signal.bits.unit)
+    found = factor(own, unit) if unit else None
+    if found is None or not QUANTITIES[quantity].usable(signal.last * found + zero(own, unit)):
         return 0.0
     others = [other for other in HINTS if other != quantity and re.search(HINTS[other], signal.bits.name, re.IGNORECASE)]
     elsewhere = bool(others)
@@ -190,8 +191,8 @@ def _slow_score(quantity: str, message: str, rate_hz: float, signal: SignalSeen,
     if quantity == "plate_angle" and _names(_ANGLES_ELSEWHERE, _IMPACT_PLATE, message, signal.bits.name):
         return WEAK
     shaft = speed and of_another_shaft(message, signal.bits.name)
-    own = {"elevator_speed": _ELEVATOR, "plate_angle": _IMPACT_PLATE}.get(quantity)
-    better = own is not None and not shaft and own.search(f"{message} {signal.bits.name}") is not None
+    part = {"elevator_speed": _ELEVATOR, "plate_angle": _IMPACT_PLATE}.get(quantity)
+    better = part is not None and not shaft and part.search(f"{message} {signal.bits.name}") is not None
     return 1.0 + named - 0.5 * shaft + _NAMED_BETTER * better + min(rate_hz, 100.0) * 1e-6
 
 

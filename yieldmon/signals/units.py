@@ -75,7 +75,7 @@ _SPELT = {
     "rpm": "r/min min^-1 u/min umin upm rev/min revs/min turns/min unit_minutinver unit_revpermin "
     "umdr/min umdrehungen/min tr/min trs/min giri/min obr/min ot/min varv/min omw/min omdr/min",
     "1/s": "s-1 s^-1 u/s umdr/s tr/s",
-    "deg": "degs grad winkelgrad degré degrés unit_degreofarc unit_degreeofarc",
+    "deg": "degs winkelgrad degré degrés unit_degreofarc unit_degreeofarc",
     "rad": "radian radians unit_radian",
     "arcmin": "arcminute arcminutes",
     "arcsec": "arcsecond arcseconds",
@@ -100,6 +100,8 @@ _SPELT = {
     "kg/s": "kg/sec",
     "t/h": "t/hr",
 }
+_AMBIGUOUS = {"grad": ("deg", "degrees in some languages and gradians of 0.9 degrees in others")}
+"""Words for two units, which have no factor: the likelier of the two, and both."""
 _SPELLINGS = {unit.lower(): unit for unit in _IN_ANY_CASE} | {
     word: unit for unit, words in _SPELT.items() for word in words.split()
 }
@@ -144,6 +146,25 @@ def period_s(unit: str) -> float | None:
     [0.001, 1e-06, None]
     """
     return _PERIODS_S.get(_plain(unit))
+
+
+def may_be(unit: str) -> str:
+    """What an ambiguous unit may be, in brackets for a message; "" for any other.
+
+    >>> may_be("Grad"), may_be("deg")
+    (' (degrees in some languages and gradians of 0.9 degrees in others)', '')
+    """
+    found = _AMBIGUOUS.get(_plain(unit).lower())
+    return f" ({found[1]})" if found else ""
+
+
+def likely(unit: str) -> str:
+    """The likelier meaning of an ambiguous unit; any other as it is.
+
+    >>> likely("Grad"), likely("rad")
+    ('deg', 'rad')
+    """
+    return _AMBIGUOUS.get(_plain(unit).lower(), (unit,))[0]
 
 
 def accepted(quantity_unit: str) -> str:

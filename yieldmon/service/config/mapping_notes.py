@@ -16,7 +16,7 @@ from yieldmon.signals.extraction import Extraction
 from yieldmon.signals.packing import Packing, span
 from yieldmon.signals.published import PUBLISHED
 from yieldmon.signals.state_names import codes_by_name
-from yieldmon.signals.units import factor, zero
+from yieldmon.signals.units import factor, may_be, zero
 
 SPEEDS_RPM = (300.0, 400.0, 500.0)
 _WORTH_SAYING_PCT = 0.1
@@ -118,7 +118,7 @@ def _bound(configuration: Configuration) -> list[tuple[Binding, Extraction]]:
 
 def _takes_another_unit(binding: Binding, unit: str) -> bool:
     """Whether a binding states another unit than the DBC, and nothing that would convert it."""
-    if binding.unit is None or binding.pulses_per_turn is not None or not unit:
+    if binding.unit is None or binding.pulses_per_turn is not None or not unit or may_be(unit):
         return False
     if (binding.scale, binding.offset, binding.ratio) != (1.0, 0.0, 1.0):
         return False
