@@ -105,9 +105,15 @@ def test_times_do_not_depend_on_the_time_zone_of_a_computer(
 @MF4[0]
 @MF4[1]
 def test_a_gzipped_mf4_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"\.mf4 is currently incompatible with gzip"):
+    with pytest.raises(ValueError, match=r"a log \.mf4 cannot be gzipped while it is written"):
         write(tmp_path / "drive.mf4.gz", sample_log())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])
+@pytest.mark.parametrize("stem", ["drive", "north.2026.10.06"])
+def test_a_log_that_is_gzipped_while_it_is_written(tmp_path: Path, stem: str, suffix: str) -> None:
+    assert essence(read(write(tmp_path / f"{stem}{suffix}.gz", sample_log()))[0]) == essence(sample_log())
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

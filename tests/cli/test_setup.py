@@ -392,9 +392,26 @@ def test_in_a_terminal_an_answer_that_does_not_fit_is_asked_again(tmp_path, caps
     assert known.machine.sensor.gain_n_per_mv == pytest.approx(9.80665 * 10.0 / 195.1, rel=1e-3)
 
 
-@pytest.mark.parametrize("typed", ["0x10", "1/2", "12x", "0.1 0x10"])
+@pytest.mark.parametrize(
+    ("typed", "mend"),
+    [
+        ("15 3/4 in", "15.75 in"),
+        ("3/4 in", "0.75 in"),
+        ("15¾ in", "15.75 in"),
+        ("1' 2\"", "14 in"),
+        ("1 ft 2.5 in", "14.5 in"),
+        ("6½ 8 1/4 in", "6.5 8.25 in"),
+    ],
+)
+@pytest.mark.parametrize("key", ["paddle_width_m", "paddle_spacings_m"])
+def test_fractions_and_two_units_of_a_length_are_given_back_in_decimals(tmp_path, capsys, typed, mend, key):
+    assert main(["setup", "--answers", answers(tmp_path, **{key: typed}), "--out", str(tmp_path / "new")]) == 2
+    assert f"{key}: is {typed}; expected decimal numbers of one unit: {mend}\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("typed", ["0x10", "12x", "0.1 0x10"])
 def test_a_word_that_is_no_number_is_named_whole(tmp_path, capsys, typed):
-    """0x10 was called x10, and 1/2 was called /2."""
+    """0x10 was called x10."""
     assert main(["setup", "--answers", answers(tmp_path, paddle_spacings_m=typed), "--out", str(tmp_path / "new")]) == 2
     assert f"paddle_spacings_m: is {typed.split()[-1]};" in capsys.readouterr().err
 

@@ -26,7 +26,8 @@ def test_several_tickets_and_loads_are_spoken_of_as_several() -> None:
     ("given", "said"),
     [
         ("9.1+8.4t", "MASS: '9.1+8.4t' has a unit at some parts only; expected a unit at each part, such as 9.1t+8.4t"),
-        ("9.1t+", "mass: ''; expected kilograms above 0"),
+        ("9.1t+", "MASS: '9.1t+' lacks the mass of a part; expected a mass on each side of +, such as 9.1t+8.4t"),
+        ("9.1t++8.4t", "MASS: '9.1t++8.4t' lacks the mass of a part; expected a mass on each side of +"),
         ("9t+-3t", "mass: '-3t'; expected kilograms above 0"),
     ],
 )

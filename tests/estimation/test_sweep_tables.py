@@ -76,7 +76,7 @@ def test_rows_of_an_unknown_group_are_left_out(tmp_path: Path, capsys: pytest.Ca
     assert main(table(tmp_path, cells)) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["groups"] == whole["groups"]
-    assert err.endswith("sweeps.csv: 1 rows without mass_flow_kg_s are left out (lines 2)\n")
+    assert err.endswith("sweeps.csv: 1 row without mass_flow_kg_s is left out (line 2)\n")
 
 
 def test_loads_of_which_none_is_known_are_one_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -56,7 +56,7 @@ def test_a_folder_with_a_copy(capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy("folder/a.csv", "folder/copy of a.csv")
     document, said = mapped(capsys, "folder")
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.003)
-    assert "600 rows are those of folder: a.csv: the same harvest counts once" in said
+    assert "600 rows also in folder: a.csv: the same harvest counts once" in said
 
 
 def test_one_harvest_in_two_formats(capsys: pytest.CaptureFixture[str]) -> None:

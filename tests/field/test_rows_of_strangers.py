@@ -80,7 +80,7 @@ def test_rows_that_a_table_holds_twice_count_once(order: str, capsys: pytest.Cap
     document, said = mapped(capsys, twice)
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
     assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.01)
-    assert f"{len(table)} rows: are the same as rows before them: each counts once" in said
+    assert f"{len(table)} rows: the same as a row before: each counts once" in said
 
 
 def test_rows_of_a_log_faster_than_its_clock_are_no_copies(capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,7 +109,7 @@ def test_ground_without_a_yield_is_cut_and_said(mark: str, capsys: pytest.Captur
     """A row without a yield between others ended its pass: a third of the grain was left out as of short passes."""
     document, said = mapped(capsys, changed(lambda n, row: row | {"yield_t_ha": mark} if n % 10 in (4, 7) else row))
     assert mass_kg(document) == pytest.approx(0.8 * MASS_KG, rel=0.01)
-    assert "192 rows of passes, 20 % of the ground, have no flow: their grain is not in the mass" in said
+    assert "192 rows of passes without a flow, 20 % of the ground: their grain is not in the mass" in said
     assert document["area_ha"] * 1e4 == pytest.approx(AREA_M2, rel=0.01)
     assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
     assert "short pass" not in document["mass_kg"]["left_out_by_reason"]
@@ -119,7 +119,7 @@ def test_ground_without_a_yield_is_cut_and_said(mark: str, capsys: pytest.Captur
 def test_grain_of_rows_without_a_width_is_named(width: str, capsys: pytest.CaptureFixture[str]) -> None:
     document, said = mapped(capsys, changed(lambda n, row: row | {"width_m": width} if n % 20 == 7 else row))
     assert mass_kg(document) == pytest.approx(0.95 * MASS_KG, rel=0.01)
-    assert "48 rows have a yield and no width or distance: their grain is not counted" in said
+    assert "48 rows with a yield and no width or distance: their grain is not counted" in said
     assert "flow_kg_s" not in said
 
 
@@ -188,7 +188,7 @@ def test_a_copy_by_another_clock_counts_once(
     document, said = mapped(capsys, rows(), changed(lambda _, row: row | {"time": clock(row["time"])})[200:])
     assert mass_kg(document) == pytest.approx(MASS_KG, rel=0.01)
     assert document["yield_t_ha"] == pytest.approx(YIELD_T_HA, rel=0.02)
-    assert re.search(rf"are those of h0\.csv by a clock that is {off} s off", said)
+    assert re.search(rf"also in h0\.csv by a clock that is {off} s off", said)
 
 
 def test_the_next_year_on_the_same_tracks_is_no_copy(capsys: pytest.CaptureFixture[str]) -> None:

@@ -116,7 +116,7 @@ def test_a_table_reads_the_same_however_it_was_saved(tmp_path, text):
     found = np.stack([loaded.columns[name] for name in ("plate_angle_deg", "mass_flow_kg_s", "force_n")], axis=1)
     np.testing.assert_array_equal(found, PLAIN)
     assert loaded.lines == (2, 3)
-    assert "1 rows without a load or a reading are left out (lines 3)" in loaded.unread(np.isnan(found[:, 1]))
+    assert "1 row without a load or a reading is left out (line 3)" in loaded.unread(np.isnan(found[:, 1]))
 
 
 def test_a_workbook_reads_as_its_table(tmp_path):

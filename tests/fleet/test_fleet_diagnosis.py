@@ -204,7 +204,7 @@ def test_sweeps_of_a_dataset_are_those_of_a_store(tmp_path: Path) -> None:
 def test_a_dataset_without_sweeps_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dataset = Dataset(str(tmp_path / "season"))
     commit(dataset, dataset.begin(), "machine=m/day=1", rows_of(0, 0))
-    with pytest.raises(InputError, match="has sweeps of 1 machines"):
+    with pytest.raises(InputError, match="has sweeps of 1 machine;"):
         sweeps_of(str(tmp_path / "season"))
     assert main(["fleet", "diagnose", str(tmp_path / "season")]) == 2
     assert "expected at least 3" in capsys.readouterr().err

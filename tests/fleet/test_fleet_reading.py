@@ -730,5 +730,5 @@ def test_tickets_of_days_without_a_crop_are_said(tmp_path: Path, capsys: pytest.
     capsys.readouterr()
     assert main(["fleet", "prior", dataset, "--crop", "corn"]) == 2
     said = capsys.readouterr().err
-    assert "3 tickets are of days without a crop; expected at least 3, or `fleet run --crop`" in said
+    assert "3 tickets of days without a crop; expected at least 3, or `fleet run --crop`" in said
     assert said.count("\n") == 1

@@ -86,4 +86,4 @@ def test_damaged_seconds_are_left_out_and_reported(tmp_path: Path, caplog):
     database.commit()
     database.close()
     assert [row.number for row in recorded.read_seconds(path)] == [1, 2, 4, 5]
-    assert "1 seconds are damaged and left out (number 3)" in caplog.text
+    assert "1 second damaged and left out (number 3)" in caplog.text

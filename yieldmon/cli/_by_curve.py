@@ -13,6 +13,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.flow_curve import OFFSET_SHARE, AlphaBeta
 from yieldmon.estimation.weighing.flow_curve_fit import CurveFit, fit_loads, fit_table
 from yieldmon.files import flow_curve_file, table, whole_file
+from yieldmon.units import counted
 
 
 def run(args: argparse.Namespace) -> CurveCalibrationDocument:
@@ -91,7 +92,7 @@ def text(document: CurveCalibrationDocument) -> str:
     low, high = document["mass_flow_kg_s"]
     angles = ", ".join(f"{angle:g}" for angle in document["plate_angles_deg"])
     where = f"{low:.3g} to {high:.3g} kg/s, plate at {angles} deg"
-    lines = [f"{document['file']}: {document['estimator']}, {document['rows']} rows, {where}"]
+    lines = [f"{document['file']}: {document['estimator']}, {counted(document['rows'], 'row')}, {where}"]
     lines += [f"{name:<34}{value:>13.6g}" for name, value in document["coefficients"].items()]
     error = document["error_pct"]
     lines.append(f"error of {document['loads']} loads, %: mean {error['fitted_mean']:.3g}, largest {error['fitted_max']:.3g}")

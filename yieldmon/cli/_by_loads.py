@@ -24,6 +24,7 @@ from yieldmon.files.crops import SHIPPED_CROP, crops
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.resources import shipped
+from yieldmon.units import counted
 
 if TYPE_CHECKING:
     from yieldmon.service.config.configuration import Configuration
@@ -235,7 +236,7 @@ def _with_provenance(
     """crop: of the loads, "" where none was named."""
     facts = _provenance.of_loads(args.loads, args.tickets, until_s) | {
         "method": f"{len(found.loads) - len(found.outliers)} weighed loads"
-        + (f", {found.sweeps_used} sweeps" if found.sweeps_used else ""),
+        + (f", {counted(found.sweeps_used, 'sweep')}" if found.sweeps_used else ""),
         "parent_version": str(prior.version),
         SCALE: WEIGHED,
         **calibrated_machine.facts(machine),

@@ -27,7 +27,7 @@ from yieldmon.field.sources.options import ReadOptions
 from yieldmon.field.table import HarvestTable, Skipped, joined
 from yieldmon.files import ticket_file
 from yieldmon.files.whole_file import real_path
-from yieldmon.units import UnitSystem
+from yieldmon.units import UnitSystem, counted
 
 
 def run(args: argparse.Namespace) -> int:
@@ -121,7 +121,8 @@ def _print_summary(result: harvest.HarvestMap) -> None:
         corrected, least, most = (f"{mass.of(value):.0f}" for value in (totals.corrected_kg, totals.low_kg, totals.high_kg))
         weighed = f"{corrected} {mass.name} by weighed loads ({least} to {most}), "
     lines.append(
-        f"{len(result.table)} points, {int(result.cleaned.kept.sum())} kept; {mass.of(totals.measured_kg):.0f} {mass.name} "
+        f"{counted(len(result.table), 'point')}, {int(result.cleaned.kept.sum())} kept; "
+        f"{mass.of(totals.measured_kg):.0f} {mass.name} "
         f"measured, {weighed}{mass.of(totals.by_reason.get('kept', 0.0)):.0f} {mass.name} kept; "
         f"{units.area(totals.area_m2)} cut; "
         + (f"{middle:.2f} {crop_yield.name}{span}" if isfinite(middle) else "no yield: no point is kept")

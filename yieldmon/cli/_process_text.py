@@ -6,7 +6,7 @@ from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service.logs.record_check import SEPARATE_FILES, record_lines
 from yieldmon.service.logs.time_units import spacing_line
-from yieldmon.units import Units
+from yieldmon.units import Units, counted
 
 _MOSTLY = 0.5
 """Share of a record's seconds above which what they lack is named as the cause."""
@@ -14,16 +14,18 @@ _MOSTLY = 0.5
 
 def summary_line(document: ProcessSummary, units: Units) -> str:
     """What `process` says of a record on standard error."""
-    line = f"{document['frames']} frames, {document['windows']} s, {units.mass_with_bushels(document['total_mass_kg'])}"
+    line = (
+        f"{counted(document['frames'], 'frame')}, {document['windows']} s, {units.mass_with_bushels(document['total_mass_kg'])}"
+    )
     if document["total_std_dev_kg"] is not None and document["total_mass_kg"] > 0.0:
         line += f" ± {units.mass(document['total_std_dev_kg'])}"
     if document["dry_mass_kg"] is not None and document["total_mass_kg"] > 0.0:
         line += f" ({units.mass_with_bushels(document['dry_mass_kg'])} dry)"
     if document["area_m2"] is not None:
         line += f" on {units.area(document['area_m2'])}, {units.crop_yield(document['yield_kg_m2'])}"
-    line += f", {document['frames_malformed']} malformed frames" if document["frames_malformed"] else ""
+    line += f", {counted(document['frames_malformed'], 'malformed frame')}" if document["frames_malformed"] else ""
     incomplete = document["messages_incomplete"]
-    line += f", {incomplete} incomplete messages" if incomplete else ""
+    line += f", {counted(incomplete, 'incomplete message')}" if incomplete else ""
     lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))

@@ -8,6 +8,7 @@ from yieldmon.documents.calibrate import CalibrationDocument
 from yieldmon.estimation.fitting.calibration_result import CONFIDENCE, Calibration
 from yieldmon.estimation.fitting.measurements import Measurements
 from yieldmon.files.table import Table
+from yieldmon.units import counted
 
 
 def report(result: Calibration, data: Table, rows: Measurements) -> CalibrationDocument:
@@ -51,7 +52,7 @@ def report(result: Calibration, data: Table, rows: Measurements) -> CalibrationD
 def text(document: CalibrationDocument) -> str:
     """The report for people."""
     unit = document["response_unit"]
-    lines = [f"{document['file']}: {document['rows']} rows, {document['starts']} starts"]
+    lines = [f"{document['file']}: {counted(document['rows'], 'row')}, {counted(document['starts'], 'start')}"]
     lines.append(f"{'parameter':<34}{'value':>13}{'std error':>13}   {100 * CONFIDENCE:.0f} % interval")
     for name, p in document["parameters"].items():
         low, high = p["interval"]

@@ -21,6 +21,7 @@ from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
+from yieldmon.units import counted
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -66,7 +67,10 @@ def run(args: argparse.Namespace) -> int:
         print_json(document)
     else:
         share = 100.0 * packed.size_bytes / logs_bytes
-        print(f"{out}: {packed.frames} frames, {packed.size_bytes} bytes, {share:.1f} % of the logs' size", file=sys.stderr)
+        print(
+            f"{out}: {counted(packed.frames, 'frame')}, {packed.size_bytes} bytes, {share:.1f} % of the logs' size",
+            file=sys.stderr,
+        )
     return 0
 
 

@@ -26,6 +26,7 @@ from yieldmon.cli.main import EXIT_INTERRUPTED
 from yieldmon.documents.replay import ReplayDocument
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
+from yieldmon.units import counted
 
 _DAMAGES_SHOWN = 10
 
@@ -185,14 +186,14 @@ def _report(progress: Progress, notes: LogNotes, args: argparse.Namespace) -> No
             summary |= {"late": progress.late, "worst_lateness_s": progress.worst_lateness_s}
         print_json(summary, indent=None)
         return
-    line = f"{progress.sent} frames in {progress.elapsed_s:.3f} s, {progress.frames_per_s:.0f} frames/s"
+    line = f"{counted(progress.sent, 'frame')} in {progress.elapsed_s:.3f} s, {progress.frames_per_s:.0f} frames/s"
     if args.speed and progress.sent:
         on_time_pct = 100 * (1 - progress.late / progress.sent)
         line += f"; {on_time_pct:.2f} % within {1000 * ON_TIME_S:g} ms, at worst {1000 * progress.worst_lateness_s:.1f} ms late"
     if progress.fd_not_sent:
-        line += f"; {progress.fd_not_sent} CAN FD frames not sent (needs --fd)"
+        line += f"; {counted(progress.fd_not_sent, 'CAN FD frame')} not sent (needs --fd)"
     if notes.damaged_places:
-        line += f"; {notes.damaged_places} damaged records"
+        line += f"; {counted(notes.damaged_places, 'damaged record')}"
     if notes.dropped_by_recorder:
-        line += f"; the recorder lost {notes.dropped_by_recorder} frames"
+        line += f"; the recorder lost {counted(notes.dropped_by_recorder, 'frame')}"
     print(line)

@@ -34,6 +34,7 @@ from yieldmon.resources import shipped
 from yieldmon.signals.candidates import Candidate, candidates_of
 from yieldmon.signals.mapping_draft import TELLING, guesses, mapping_text
 from yieldmon.signals.survey import MessageSeen, Survey
+from yieldmon.units import counted
 
 _SHIPPED = ("dbc/yieldmon.dbc", "dbc/j1939.dbc")
 _BLOCK_S = 0.5
@@ -123,7 +124,7 @@ def _log_blocks(path: str, channel: str | None, shared: SharedIdentifiers) -> It
     for damage in notes.damages[:3]:
         print(f"yieldmon: {damage}", file=sys.stderr)
     if notes.damaged_places > 3:
-        print(f"yieldmon: {path}: {notes.damaged_places} damaged records skipped in all", file=sys.stderr)
+        print(f"yieldmon: {path}: {counted(notes.damaged_places, 'damaged record')} skipped in all", file=sys.stderr)
 
 
 def _bus_blocks(args: argparse.Namespace) -> Iterator[FrameBlock]:

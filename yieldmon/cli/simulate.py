@@ -14,7 +14,7 @@ import can
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec, FrameError
-from yieldmon.bus.log_files.log_writing import writing
+from yieldmon.bus.log_files.log_writing import ENDINGS, writing
 from yieldmon.bus.opening import add_bus_arguments, open_bus_from
 from yieldmon.bus.waiting import receive
 from yieldmon.cli import _named_files, _outputs
@@ -95,7 +95,7 @@ def _write_log(combine: VirtualCombine, codec: Codec, args: argparse.Namespace, 
         try:
             writer = stack.enter_context(writing(scratch))
         except ValueError as error:
-            raise InputError(f"--log {args.log}", str(error), "a format of python-can") from None
+            raise InputError(f"--log {args.log}", str(error), ENDINGS) from None
         try:
             for frame in combine.frames_until(combine.scenario.duration_s):
                 message = codec.encode(frame._replace(time_s=args.start_time + frame.time_s))

@@ -139,6 +139,8 @@ def _parts(text: str) -> list[str]:
 def _sum_kg(text: str) -> float:
     """The mass of a load from its parts, kg. Raises InputError, also where only some of them have a unit."""
     parts = _parts(text)
+    if len(parts) > 1 and not all(parts):
+        raise InputError("MASS", f"{text!r} lacks the mass of a part", "a mass on each side of +, such as 9.1t+8.4t")
     masses_kg = [mass(part) for part in parts]
     if len({part[-1].isalpha() for part in parts}) > 1:
         raise InputError("MASS", f"{text!r} has a unit at some parts only", "a unit at each part, such as 9.1t+8.4t")

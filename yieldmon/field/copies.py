@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from yieldmon.units import counted
+
 from .table import Array, HarvestTable, Skipped
 
 _LEAST_ROWS = 20
@@ -60,7 +62,7 @@ def without_copies(table: HarvestTable, least_rows: int = _LEAST_ROWS) -> Harves
                 if len(same) < max(_LEAST_ROWS, _LEAST_SHARE * min(len(mine), len(theirs))):
                     continue
             again[same] = True
-            left = Skipped(f"{len(same)} rows", f"are those of {sources[former].path}{clock}: the same harvest counts once")
+            left = Skipped(counted(len(same), "row"), f"also in {sources[former].path}{clock}: the same harvest counts once")
             whole = len(same) >= 0.9 * len(mine)
             sources[later] = replace(
                 sources[later],

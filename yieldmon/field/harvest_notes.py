@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from yieldmon.units import S_PER_DAY, T_HA_PER_KG_M2
+from yieldmon.units import S_PER_DAY, T_HA_PER_KG_M2, counted
 
 from .cleaning import Cleaned
 from .crop_figures import crop
@@ -51,7 +51,7 @@ def unmeasured(table: HarvestTable, steps: Tracks) -> list[str]:
     share = float(area_m2[lacking].sum() / area_m2[cutting].sum()) if lacking.any() else 0.0
     if share < _LEAST_UNMEASURED:
         return []
-    said = f"{int(lacking.sum())} rows of passes, {100.0 * share:.2g} % of the ground, have no flow"
+    said = f"{counted(int(lacking.sum()), 'row')} of passes without a flow, {100.0 * share:.2g} % of the ground"
     return [f"{said}: their grain is not in the mass"]
 
 

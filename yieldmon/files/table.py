@@ -12,6 +12,7 @@ from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions
 from yieldmon.physics.numerics import Array
+from yieldmon.units import counted
 
 from . import delimited
 from .speeds import LARGEST_SPEED_RPM, LEAST_SPEED_RPM
@@ -112,7 +113,8 @@ class Table:
             return ""
         places = [self.lines[i] if self.lines else i + 1 for i in np.flatnonzero(rows)[:8]]
         more = ", ..." if count > len(places) else ""
-        return f"{self.path}: {count} rows {why} are left out (lines {', '.join(map(str, places))}{more})"
+        is_left, line = ("is left", "line") if count == 1 else ("are left", "lines")
+        return f"{self.path}: {counted(count, 'row')} {why} {is_left} out ({line} {', '.join(map(str, places))}{more})"
 
     def __len__(self) -> int:
         return len(self.columns["plate_angle_deg"])
@@ -285,7 +287,7 @@ def _at_nominal(columns: Mapping[str, Array], source: delimited.TextTable) -> tu
     if not np.any(unknown) or np.all(unknown):
         return ()
     first, count = source.lines[int(np.argmax(unknown))], int(np.count_nonzero(unknown))
-    rows = "1 row has" if count == 1 else f"{count} rows have"
+    rows = f"{counted(count, 'row')} {'has' if count == 1 else 'have'}"
     taken = f"no elevator_speed_rpm (line {first}{', ...' if count > 1 else ''}): the machine's nominal speed is taken there"
     return (f"{source.path}: {rows} {taken}",)
 

@@ -30,6 +30,7 @@ from yieldmon.physics.machine import ImpactSensor, Implement, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs.sweep_table import away_of_seconds
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.units import counted
 
 SharedVerdict = Literal["effect", "unknown", "none", "not compared"]
 _ORDER: tuple[SharedVerdict, ...] = get_args(SharedVerdict)
@@ -238,7 +239,7 @@ def sweeps_of(address: str) -> tuple[MachineSweeps, ...]:
     with opened(address) as query:
         found = tuple(_machines(query))
     if len(found) < LEAST_MACHINES:
-        raise InputError(address, f"has sweeps of {len(found)} machines", f"at least {LEAST_MACHINES}")
+        raise InputError(address, f"has sweeps of {counted(len(found), 'machine')}", f"at least {LEAST_MACHINES}")
     return found
 
 

@@ -27,6 +27,7 @@ from yieldmon.physics.model import ForwardModel
 from yieldmon.service.logs import weighed_loads
 from yieldmon.service.logs.measured_loads import MeasuredLoad
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.units import counted
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
 _OF_NO_CROP = (
@@ -86,10 +87,10 @@ def crop_prior(address: str, name: str) -> CropPrior:
             left_out.append(contradicting_density(machines.pop(unlike).name, off))
             found = None
     if found is None:
-        without = f"; {of_no_crop} tickets are of days without a crop" if of_no_crop else ""
+        without = f"; {counted(of_no_crop, 'ticket')} of days without a crop" if of_no_crop else ""
         mend = ", or `fleet run --crop`, for days without one" if of_no_crop else ""
         others = f"; its tickets are for {', '.join(crops)}" if crops and name not in crops else ""
-        found_no = f"has tickets of {len(machines)} machines for {name}{others}{without}{_others(left_out)}"
+        found_no = f"has tickets of {counted(len(machines), 'machine')} for {name}{others}{without}{_others(left_out)}"
         raise InputError(address, found_no, f"at least {LEAST_MACHINES}{mend}")
     facts = {
         "crop": name, METHOD: POOLED, "machines": str(len(machines)),

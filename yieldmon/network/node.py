@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from yieldmon.identifiers import GLOBAL_ADDRESS, NULL_ADDRESS, is_broadcast
+from yieldmon.units import counted
 
 from . import diagnostics, identification
 from .addresses import AddressTable
@@ -225,7 +226,7 @@ class Node:
         if self._claims.exceeded(now_s):
             found.append(f"our address is contested without end ({self._claim.counters().contested} claims)")
         if self._violations.exceeded(now_s):
-            found.append(f"another node sends from our address ({self._claim.counters().violations} frames)")
+            found.append(f"another node sends from our address ({counted(self._claim.counters().violations, 'frame')})")
         if now_s - self._duplicate_s < 3.0:
             found.append(f"another node uses our NAME {self.settings.name}")
         if self._requests.exceeded(now_s):

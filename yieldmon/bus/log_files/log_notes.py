@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 
 from yieldmon.errors import InputError
+from yieldmon.units import counted
 
 _log = logging.getLogger(__name__)
 
@@ -75,9 +76,9 @@ class LogNotes:
         """What the log lacks, a line each: damaged places, how many more there are, and frames that its recorder lost."""
         lines = [str(damage) for damage in self.damages]
         if more := self.damaged_places - len(self.damages):
-            lines.append(f"{log}: {more} more damaged places")
+            lines.append(f"{log}: {counted(more, 'more damaged place')}")
         if self.dropped_by_recorder:
-            lines.append(f"{log}: the recorder lost {self.dropped_by_recorder} frames")
+            lines.append(f"{log}: the recorder lost {counted(self.dropped_by_recorder, 'frame')}")
         return lines
 
     def lost(self, frames: int) -> None:

@@ -25,7 +25,7 @@ _POLL_S = 0.01
 def writing(path: Path | str) -> Iterator[can.Listener]:
     """A listener that writes what it is given to the log, whose format its name's ending says.
 
-    Raises ValueError for an ending that python-can does not know, OSError, which names the file, where it cannot be written.
+    Raises ValueError for an ending that is none of ENDINGS, OSError, which names the file, where it cannot be written.
     """
     if ".mf4" in Path(path).suffixes:
         mf4.provide()
@@ -47,15 +47,14 @@ def writing(path: Path | str) -> Iterator[can.Listener]:
 def _writer(path: Path) -> can.io.generic.MessageWriter:
     """python-can's, with dates in UTC also where that writes them in the zone of the computer. Raises ValueError, OSError."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
-    kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else path.suffix.lower()
-    packed = kind != path.suffix.lower()
-    if kind == ".asc":
-        return _AscWriter(gzip.open(path, "wt") if packed else path)
-    if kind == ".mf4":
-        if packed:
-            raise ValueError("The file type .mf4 is currently incompatible with gzip.")
-        return _Mf4Writer(path)
-    return can.Logger(path)
+    packed = suffixes[-1:] == [".gz"]
+    kind = (suffixes[:-1] if packed else suffixes)[-1:] or [""]
+    if kind[0] not in _WRITERS:
+        raise ValueError(f"{kind[0]!r} is no ending of a log that can be written")
+    if packed and kind[0] not in _TEXT:
+        raise ValueError(f"a log {kind[0]} cannot be gzipped while it is written")
+    writer: can.io.generic.MessageWriter = _WRITERS[kind[0]](gzip.open(path, "wt") if packed else path)
+    return writer
 
 
 class _AscWriter(can.ASCWriter):
@@ -99,3 +98,9 @@ class _DatabaseWriter(can.SqliteWriter):
             super()._db_writer_thread()
         except sqlite3.Error as error:
             self._failure = error
+
+
+_TEXT = {".log": can.CanutilsLogWriter, ".asc": _AscWriter, ".csv": can.CSVWriter, ".trc": can.TRCWriter}
+_WRITERS = {**_TEXT, ".blf": can.BLFWriter, ".mf4": _Mf4Writer, ".db": _DatabaseWriter}
+ENDINGS = f"a name that ends in one of {' '.join(_WRITERS)}, the first {len(_TEXT)} also with .gz behind"
+"""Of logs that can be written, for a message."""

@@ -7,6 +7,7 @@ import argparse
 from yieldmon.cli._json import print_document
 from yieldmon.documents.fleet import FleetCompareDocument
 from yieldmon.fleet.comparison import compare
+from yieldmon.units import counted
 
 _SHOWN = 20
 _COLUMNS_SHOWN = 6
@@ -23,7 +24,9 @@ def run(args: argparse.Namespace) -> int:
 def _text(found: FleetCompareDocument) -> str:
     lines = [f"{found['equal']} of {found['partitions']} partitions are equal"]
     if found["because"]:
-        lines.append("what differs: " + ", ".join(f"{_CAUSES[name]} ({days} days)" for name, days in found["because"].items()))
+        lines.append(
+            "what differs: " + ", ".join(f"{_CAUSES[name]} ({counted(days, 'day')})" for name, days in found["because"].items())
+        )
     lines += [
         f"columns of records only in {dataset}: {', '.join(names)}"
         for dataset, names in (

@@ -11,6 +11,7 @@ from yieldmon.documents.fleet import DensityAndGain, FleetPriorDocument
 from yieldmon.files import parameter_file
 from yieldmon.fleet.prior import CropPrior, crop_prior
 from yieldmon.physics.numerics import Array
+from yieldmon.units import counted
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,6 +56,6 @@ def _text(document: FleetPriorDocument) -> str:
             ("gain", shift["gain"], between["gain"]),
         )
     ]
-    lines += [f"{name}: {m['loads']} loads" for name, m in document["machines"].items()]
+    lines += [f"{name}: {counted(m['loads'], 'load')}" for name, m in document["machines"].items()]
     lines += [f"left out: {reason}" for reason in document["left_out"]]
     return "\n".join(lines)

@@ -245,7 +245,7 @@ def _lines_of(document: FleetRunDocument) -> list[str]:
     lines.append(
         f"{document['dataset']}: {document['done']} measured, {document['skipped']} already there, {document['failed']} failed"
         + (f", {document['left']} left to the next run" if document["left"] else "")
-        + f"; {document['frames']} frames"
+        + f"; {counted(document['frames'], 'frame')}"
     )
     return lines
 

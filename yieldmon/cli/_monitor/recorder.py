@@ -8,7 +8,7 @@ from pathlib import Path
 
 import can
 
-from yieldmon.bus.log_files.log_writing import writing
+from yieldmon.bus.log_files.log_writing import ENDINGS, writing
 from yieldmon.errors import InputError
 
 
@@ -24,8 +24,10 @@ class Recorder:
         """Record to this log; returns its name. Raises InputError."""
         try:
             self._logger = self._open.enter_context(writing(path))
-        except (ValueError, OSError) as error:
-            raise InputError(str(path), str(error), "a log file name that python-can can write, such as drive.log") from error
+        except ValueError as error:
+            raise InputError(str(path), str(error), ENDINGS) from error
+        except OSError as error:
+            raise InputError(str(path), error.strerror or str(error), "a log file that can be written") from error
         return path.name
 
     def toggle(self) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import can
 
 from yieldmon.cli._setup.questions import QUESTIONS, Question
-from yieldmon.cli._setup.written_numbers import OTHER_UNITS, numbers
+from yieldmon.cli._setup.written_numbers import OTHER_UNITS, in_decimals, numbers
 from yieldmon.errors import InputError, brief
 from yieldmon.files import strict_yaml, whole_file
 from yieldmon.files.crops import crop
@@ -73,6 +73,8 @@ def _number(question: Question, value: Any, where: str) -> float:
 
 
 def _numbers(question: Question, text: str, where: str) -> list[float]:
+    if decimal := in_decimals(text):
+        raise InputError(where, f"is {brief(text.strip(), _SHOWN)}", f"decimal numbers of one unit: {brief(decimal, _SHOWN)}")
     units = ", ".join([question.unit, *OTHER_UNITS.get(question.unit, {})])
     try:
         found = numbers(text, question.unit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 
 from yieldmon.units import KG_PER_LB, KG_PER_T, M_PER_FT, M_PER_IN, S_PER_H
 
@@ -16,6 +17,21 @@ OTHER_UNITS: dict[str, dict[str, float]] = {
     "rpm": {"1/min": 1.0},
 }
 _PART = re.compile(r"([-+]?[0-9][0-9.,]*(?:[eE][-+]?[0-9]+)?|[-+]?[.,][0-9]+)\s*([^\s0-9.,;+-]\S*?)?(?=[\s;,]|$)[\s;,]*")
+
+_FRACTION = re.compile(r"(?:([0-9]+)[\s-]+)?([0-9]+)\s*[/⁄]\s*([1-9][0-9]*)")
+_FEET_AND_INCHES = re.compile(r"([0-9]+)\s*(?:ft|')[\s-]*([0-9]+(?:\.[0-9]+)?)\s*(?:inch|in|\")")
+
+
+def in_decimals(text: str) -> str:
+    """A text with fractions, or with feet and inches of one length, as decimal numbers; "" for one without.
+
+    >>> [in_decimals(text) for text in ("15 3/4 in", "6½ 8¼ in", "1 ft 2 in", "400 1/min", "15.75 in")]
+    ['15.75 in', '6.5 8.25 in', '14 in', '', '']
+    """
+    apart = "".join(f" {unicodedata.normalize('NFKC', c)}" if unicodedata.numeric(c, 0) % 1 else c for c in text)
+    decimal = _FRACTION.sub(lambda found: f"{int(found[1] or 0) + int(found[2]) / int(found[3]):.6g}", apart)
+    inches = _FEET_AND_INCHES.sub(lambda found: f"{12 * int(found[1]) + float(found[2]):.6g} in", decimal)
+    return "" if inches == text else inches.strip()
 
 
 def numbers(text: str, unit: str) -> list[float]:

@@ -27,6 +27,7 @@ from yieldmon.estimation.self_calibration.sweep_model_error import model_error, 
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import Array
+from yieldmon.units import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +202,7 @@ def _in_words(found: Misfit, sweeps: int) -> str:
     low, high = (f"{degrees(angle):.0f}" for angle in found.plate_angle_rad)
     where = f"at {low} deg" if low == high else f"from {low} to {high} deg"
     share = 100.0 * found.mean_relative_error
-    return f"{where} the model's force is {abs(share):.1f} % too {'high' if share > 0.0 else 'low'} ({sweeps} sweeps)"
+    return f"{where} the model's force is {abs(share):.1f} % too {'high' if share > 0.0 else 'low'} ({counted(sweeps, 'sweep')})"
 
 
 def _short(values: Array) -> tuple[float, ...]:

@@ -14,6 +14,7 @@ from yieldmon.estimation.flow_curve import LEAST_RELATIVE_STD_DEV, OFFSET_SHARE,
 from yieldmon.estimation.parameters import CalibratedRange
 from yieldmon.physics.machine import SAME_ANGLE_RAD, Machine
 from yieldmon.physics.numerics import Array, span
+from yieldmon.units import counted
 
 from .load_inputs import WeighedLoad
 
@@ -107,7 +108,7 @@ def _refuse_few(kind: str, angle: Array, load: Array) -> None:
         here = np.unique(load[angle == value]).size
         if here < LEAST_LOADS:
             raise ValueError(
-                f"{here} loads at {np.degrees(value):g} deg; expected {LEAST_LOADS} or more that give a force above 0"
+                f"{counted(here, 'load')} at {np.degrees(value):g} deg; expected {LEAST_LOADS} or more that give a force above 0"
             )
     if kind == AlphaBeta.kind and np.ptp(angle) > 0.0:
         angles = ", ".join(f"{a:g}" for a in np.degrees(np.unique(angle)))

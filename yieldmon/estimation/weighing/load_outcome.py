@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from math import isfinite, log
 
 from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.units import counted
 
 from .ticket_slips import SlipKind, title
 
@@ -195,7 +196,7 @@ def _by_model(found: LoadCalibration, sweeps: int) -> list[str]:
     else:
         out.append("they do not determine how the error changes with the flow: held; weigh a load at another flow.")
     if found.sweeps_used:
-        out.append(f"{found.sweeps_used} sweeps of the plate are fitted with them; held: {', '.join(found.held)}.")
+        out.append(f"fitted with them: {counted(found.sweeps_used, 'sweep')} of the plate; held: {', '.join(found.held)}.")
     else:
         out.append(f"held, because weighed loads cannot separate them from the scale: {', '.join(found.held)}.")
     if sweeps and not found.sweeps_used:

@@ -27,6 +27,7 @@ from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 from yieldmon.service.storage.store_errors import StoreDamagedError, StoreError
 from yieldmon.service.tickets.action_log import ActionLog
+from yieldmon.units import counted
 
 _log = logging.getLogger(__name__)
 
@@ -105,7 +106,7 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
             rows = store.seconds(on_damage=damaged.append)
         if damaged:
             numbers = ", ".join(map(str, damaged[:5])) + (" ..." if len(damaged) > 5 else "")
-            _log.warning("%s: %d seconds are damaged and left out (number %s)", path, len(damaged), numbers)
+            _log.warning("%s: %s damaged and left out (number %s)", path, counted(len(damaged), "second"), numbers)
         for row in rows:
             _check(row, f"{path}: second {row.number}")
         return rows

@@ -36,6 +36,7 @@ from yieldmon.physics.numerics import Array
 from yieldmon.service.logs.recorded import changed_at, opened
 from yieldmon.service.storage import ledger
 from yieldmon.service.storage.rows import SecondRow
+from yieldmon.units import counted
 
 LEAST_ANGLES = 4
 _LEAST_DOF = 20
@@ -134,8 +135,9 @@ def of_seconds(
     used = len(set(trial))
     scale_sd = _scale_sd(visits, model, parameters)
     note = (
-        f"{where}: {len(visits)} visits in {used} sweeps; the flow is what version {parameters.version} of the parameters makes "
-        f"of the force at the home angle, so the scale of flow and gain is theirs (good to {100.0 * scale_sd:.1f} %)"
+        f"{where}: {counted(len(visits), 'visit')} in {counted(used, 'sweep')}; the flow is what "
+        f"version {parameters.version} of the parameters makes of the force at the home angle, "
+        f"so the scale of flow and gain is theirs (good to {100.0 * scale_sd:.1f} %)"
     )
     table = Table(
         where, hashlib.sha256(text.encode()).hexdigest(), "mass_flow_kg_s", "force_n", columns, {"trial": trial}, (note,)

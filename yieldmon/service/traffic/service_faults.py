@@ -9,6 +9,7 @@ from yieldmon.engine.faults import FaultCode
 from yieldmon.service.conditions import Conditions
 from yieldmon.service.storage.writer import StoreHealth
 from yieldmon.service.traffic.transmit import TransmitCounters
+from yieldmon.units import counted
 
 #: How long a condition counts as present after it was last seen or has ended: the shortest must outlast a window.
 _HOLD_S = 3.0
@@ -46,7 +47,7 @@ class ServiceFaults:
         elif kind is BusEventKind.BUS_RESTARTED:
             self._conditions.present("bus-off", until_s, detail)
         elif kind is BusEventKind.FRAMES_DROPPED:
-            self._conditions.present("dropped", until_s, f"{event.count} frames: {event.detail}")
+            self._conditions.present("dropped", until_s, f"{counted(event.count, 'frame')}: {event.detail}")
         else:
             self._conditions.present("errors", until_s, detail)
 
@@ -95,7 +96,7 @@ def store_trouble(health: StoreHealth, note: str) -> str:
     if health.failing:
         return health.failing
     if health.waiting_s > _SLOW_STORE_S:
-        return f"the disk is slow, {health.pending} seconds wait"
+        return f"the disk is slow, {counted(health.pending, 'second')} waiting"
     if health.batches_refused:
         return f"{health.batches_refused} records could not be stored"
     return "; ".join(part for part in (note, health.replaced_because) if part)

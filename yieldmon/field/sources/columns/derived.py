@@ -12,6 +12,7 @@ from yieldmon.field.leaps import bridged
 from yieldmon.field.plane import astray, places_m
 from yieldmon.field.table import Array, Flags, Index
 from yieldmon.field.tracks import GAP_INTERVALS, usual_steps
+from yieldmon.units import counted
 
 _DISAGREE = 1.33
 """Factor by which flow and yield may differ: wet grain, and grain dried by a fifth."""
@@ -61,7 +62,11 @@ def derive(values: dict[str, Array], time_s: Array, machine: NDArray[np.int32], 
     values["flow"] = flow
     up = values["header"] == 0 if "header" in values else np.zeros(len(time_s), bool)
     lost = (values["yield"] > 0) & ~up & (~np.isfinite(area) | (values["width"] == 0))
-    return (f"{int(lost.sum())} rows have a yield and no width or distance: their grain is not counted",) if lost.any() else ()
+    return (
+        (f"{counted(int(lost.sum()), 'row')} with a yield and no width or distance: their grain is not counted",)
+        if lost.any()
+        else ()
+    )
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from yieldmon.field.plane import places_m
 from yieldmon.field.table import Array, Skipped
+from yieldmon.units import counted
 
 from .driven import LEAST_M
 from .raw_table import Raw
@@ -46,7 +47,7 @@ def without_repeats(raw: Raw, values: dict[str, Array], clock: ColumnTimes) -> t
     if not number or _are_parts(values, clock.time_s, ~again):
         return raw, values, clock
     kept = ~again
-    left = Skipped(f"{number} rows", "are the same as rows before them: each counts once")
+    left = Skipped(counted(number, "row"), "the same as a row before: each counts once")
     return (
         replace(
             raw,
