@@ -80,6 +80,28 @@ def test_yields_of_crops_with_unlike_bushels_are_in_pounds(
     assert ('"unit":{"name":"lb/ac"' in (tmp_path / "map" / "report.html").read_text()) == bool(said)
 
 
+@pytest.mark.parametrize(
+    ("passes", "crop", "kg_s"),
+    [
+        (TWO, "", {"corn": 36.0, "wheat": 16.0, "soybean": 10.0}),
+        ([("n", "corn", 9.0), ("n", "", 9.0)], "corn", {"corn": 18.0}),
+        ([("n", "corn", 9.0), ("s", "", 4.0)], "", {"corn": 9.0, "": 4.0}),
+        ([("n", "", 9.0)], "", {"": 9.0}),
+    ],
+)
+def test_the_numbers_name_the_crop_of_all_grain_or_each(
+    passes: list[tuple[str, str, float]], crop: str, kg_s: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    harvest(tmp_path / "h.csv", passes)
+    found, _ = mapped(tmp_path, capsys, "--products", "none")
+    assert found["crop"] == crop
+    assert {one["crop"]: one["mass_kg"] for one in found["crops"]} == pytest.approx(
+        {name: rate * PASS_S for name, rate in kg_s.items()}, rel=0.02
+    )
+    assert sum(one["mass_kg"] for one in found["crops"]) == pytest.approx(found["mass_kg"]["integrated"], rel=1e-6)
+    assert sum(one["kept_kg"] for one in found["crops"]) == pytest.approx(found["mass_kg"]["kept"], rel=1e-6)
+
+
 def test_the_report_names_all_crops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     harvest(tmp_path / "h.csv", TWO)
     mapped(tmp_path, capsys, "--products", "report")

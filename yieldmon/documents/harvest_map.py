@@ -99,8 +99,16 @@ class MapLoad(TypedDict):
     corrected_kg: float
 
 
+class MapCrop(TypedDict):
+    """A crop of which there is grain, "" for an unknown one. mass_kg: that has a place; kept_kg: of it in the map."""
+
+    crop: str
+    mass_kg: float
+    kept_kg: float
+
+
 class MapDocument(TypedDict):
-    """`yieldmon map --json`."""
+    """`yieldmon map --json`. crop: of all grain, "" for several or an unknown one."""
 
     sources: list[SourceDocument]
     delay: Delays
@@ -113,6 +121,7 @@ class MapDocument(TypedDict):
     yield_t_ha_high: Number
     yield_bu_ac: Number
     crop: str
+    crops: list[MapCrop]
     transport: TransportDocument | None
     points_by_reason: dict[str, int]
     loads: list[MapLoad]

@@ -21,7 +21,7 @@ from .pairs import Pairs, opposing_pairs
 from .placed import Placed, measured_mass_kg
 from .row_crops import common_bushel_kg, row_bushels_kg, row_crops
 from .swath import Swaths, swaths
-from .table import Array, HarvestTable, Label
+from .table import Array, Flags, HarvestTable, Label
 from .totals import Totals, totals_of
 from .tracks import Tracks, cut_before_measured, tracks
 from .transport import Transport, assess, filtered
@@ -61,7 +61,8 @@ class MapOptions:
 
 @dataclass(frozen=True)
 class HarvestMap:
-    """All of it, row by row of `table`. crop: of most rows. bushel_kg: of all grain, None where crops differ in it."""
+    """All of it, row by row of `table`. crop: of all grain, "" for several or an unknown one. bushel_kg: the same, None
+    where crops differ in it."""
 
     table: HarvestTable
     steps: Tracks
@@ -166,7 +167,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         yield_kg_m2=at.yield_kg_m2,
         raw_yield_kg_m2=raw,
         crops=crops,
-        crop=_commonest(crops),
+        crop=_only(crops, table["flow_kg_s"] > 0.0),
         bushel_kg=common_bushel_kg(row_bushels_kg(crops)[table["flow_kg_s"] > 0.0]),
         transport=transport,
         notes=(
@@ -202,6 +203,7 @@ def inverted(table: HarvestTable, steps: Tracks, transport: Transport) -> Harves
     )
 
 
-def _commonest(crops: Label) -> str:
-    """The crop of most rows."""
-    return crops.names[int(np.argmax(np.bincount(crops.codes, minlength=len(crops.names))))] if len(crops.codes) else ""
+def _only(crops: Label, grain: Flags) -> str:
+    """The crop of all rows with grain, without any of all rows; "" for several."""
+    codes = np.unique(crops.codes[grain] if grain.any() else crops.codes)
+    return crops.names[int(codes[0])] if len(codes) == 1 else ""

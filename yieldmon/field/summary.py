@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 
-from yieldmon.documents.harvest_map import Delays, MapDocument, TransportDocument
+import numpy as np
+
+from yieldmon.documents.harvest_map import Delays, MapCrop, MapDocument, TransportDocument
 from yieldmon.units import M2_PER_HA, T_HA_PER_KG_M2
 
 from .cleaning import KEPT
@@ -56,12 +58,24 @@ def document(result: HarvestMap, files: Sequence[str]) -> MapDocument:
         "yield_t_ha_high": _scaled(totals.high_kg_m2),
         "yield_bu_ac": _known(bushels[0]),
         "crop": result.crop,
+        "crops": _crops(result),
         "transport": None if result.transport is None else transport_document(result.transport),
         "points_by_reason": result.cleaned.points_by_reason(),
         "loads": [load.document() for load in result.loads] if weighed or len(result.loads) > 1 else [],
         "notes": list(result.notes),
         "files": list(files),
     }
+
+
+def _crops(result: HarvestMap) -> list[MapCrop]:
+    mass_kg, count = np.nan_to_num(result.placed.mass_kg), len(result.crops.names)
+    in_all = np.bincount(result.crops.codes, mass_kg, count)
+    kept = np.bincount(result.crops.codes, np.where(result.cleaned.kept, mass_kg, 0.0), count)
+    return [
+        {"crop": result.crops.names[code], "mass_kg": round(float(in_all[code]), 3), "kept_kg": round(float(kept[code]), 3)}
+        for code in np.argsort(-in_all, kind="stable")
+        if in_all[code] > 0.0
+    ]
 
 
 def _delays(result: HarvestMap) -> Delays:

@@ -53,7 +53,8 @@ def _writer(path: Path) -> can.io.generic.MessageWriter:
         raise ValueError(f"{kind[0]!r} is no ending of a log that can be written")
     if packed and kind[0] not in _TEXT:
         raise ValueError(f"a log {kind[0]} cannot be gzipped while it is written")
-    writer: can.io.generic.MessageWriter = _WRITERS[kind[0]](gzip.open(path, "wt") if packed else path)
+    file = gzip.open(path, "wt") if packed else path  # noqa: SIM115 - the writer closes it
+    writer: can.io.generic.MessageWriter = _WRITERS[kind[0]](file)
     return writer
 
 
