@@ -28,7 +28,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config import configuration
 from yieldmon.service.logs.processing import process_logs
 from yieldmon.service.logs.recorded import read_seconds
-from yieldmon.service.logs.reprocessing import measured_again
+from yieldmon.service.logs.reprocessing import recomputed
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
 
@@ -110,7 +110,7 @@ def test_a_store_measured_again_follows_parameters_zero_and_delay(capsys, tmp_pa
 def test_a_place_is_not_moved_over_a_step_of_the_clock(own, step_s: float, known: bool) -> None:
     rows, loaded = read_seconds(STORE)[:40], configuration.load(shipped("config/yieldmon.yaml"), {})
     rows = [replace(row, time_s=row.time_s + step_s * (i >= 20), ground_speed_m_s=1.0 + i) for i, row in enumerate(rows)]
-    found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, delay_s=7)
+    found = recomputed(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, delay_s=7)
     assert [row.ground_speed_m_s for row in found.rows[20:27]] == ([14.0 + i for i in range(7)] if known else [None] * 7)
     assert [row.ground_speed_m_s for row in found.rows[27:]] == [21.0 + i for i in range(13)]
 
@@ -121,7 +121,7 @@ def test_a_contested_second_has_no_mass_whatever_the_zero(own) -> None:
     zero_mv, before_kg = rows[place].zero_mv, rows[place].mass_kg
     for surplus_frames, expected_kg in ((0, pytest.approx(before_kg, rel=0.02)), (3, 0.0)):
         rows[place] = replace(rows[place], surplus_frames=surplus_frames, mass_kg=0.0)
-        found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
+        found = recomputed(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
         assert found.rows[place].mass_kg == expected_kg
 
 
@@ -143,16 +143,16 @@ def test_what_is_neither_noise_nor_of_the_parameters_is_in_the_new_deviation_too
     """5 % by zero, moisture and the model, which the rows do not hold apart; without the rows' parameters it is not known."""
     loaded, parameters = configuration.load(shipped("config/yieldmon.yaml"), {}), parameter_file.load(own)
     sets = {row.parameter_version: parameters for row in read_seconds(STORE)}
-    plain = measured_again(read_seconds(STORE), loaded.machine, parameters, loaded.engine, sets=sets).rows
+    plain = recomputed(read_seconds(STORE), loaded.machine, parameters, loaded.engine, sets=sets).rows
     wider = [widened(row, 0.05) for row in plain]
     still = next(i for i, row in enumerate(wider) if not row.mass_kg)
     wider[still] = replace(wider[still], mass_flow_kg_s=0.0, std_dev_kg_s=0.1, noise_std_dev_kg_s=0.05)
     heavier = replace(parameters, values={**parameters.values, "restitution": parameters.values["restitution"] - 0.15})
     for given in (parameters, heavier):
-        before = relative(measured_again(plain, loaded.machine, given, loaded.engine, sets=sets).rows)
-        after = relative(measured_again(wider, loaded.machine, given, loaded.engine, sets=sets).rows)
+        before = relative(recomputed(plain, loaded.machine, given, loaded.engine, sets=sets).rows)
+        after = relative(recomputed(wider, loaded.machine, given, loaded.engine, sets=sets).rows)
         assert after == pytest.approx([hypot(one, 0.05) for one in before], rel=0.01)
-        assert set(relative(measured_again(wider, loaded.machine, given, loaded.engine, sets={}).rows)) == {None}
+        assert set(relative(recomputed(wider, loaded.machine, given, loaded.engine, sets={}).rows)) == {None}
 
 
 @pytest.mark.parametrize("unknown", ["zero_mv", "force_n"])
@@ -160,9 +160,9 @@ def test_a_second_that_another_zero_cannot_measure_again_stays_as_it_was(own, un
     rows, loaded = read_seconds(STORE), configuration.load(shipped("config/yieldmon.yaml"), {})
     place = max(range(len(rows)), key=lambda i: rows[i].mass_kg)
     zero_mv = rows[place].zero_mv
-    whole = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
+    whole = recomputed(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
     rows[place] = replace(rows[place], **{unknown: None})
-    found = measured_again(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
+    found = recomputed(rows, loaded.machine, parameter_file.load(own), loaded.engine, sets={}, zero_mv=zero_mv)
     assert found.rows[place].mass_kg == rows[place].mass_kg > 0.0
     assert found.unusable == whole.unusable + 1
 

@@ -36,7 +36,7 @@ from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.service.logs.log_record import Progress
 from yieldmon.service.logs.record_check import RecordCheck
 from yieldmon.service.logs.recorded import is_store_not_log
-from yieldmon.service.logs.reprocessing import loads_of_rows, measured_again
+from yieldmon.service.logs.reprocessing import loads_of_rows, recomputed
 from yieldmon.service.logs.sample_spacing import SampleSpacing
 from yieldmon.service.logs.tables import FORMATS, open_table
 from yieldmon.service.storage.rows import SecondRow
@@ -159,7 +159,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, units: Units) -> None:
-    """A store's seconds, measured again with what is known of them."""
+    """A store's seconds, recomputed with what is known of them."""
     if len(args.logs) > 1 or args.separate:
         raise InputError("LOG", "names a store together with other sources", "one store alone")
     within("--delay", args.delay, 0, _LONGEST_DELAY_S, "s")
@@ -175,7 +175,7 @@ def _store_again(args: argparse.Namespace, loaded: configuration.Configuration, 
     between = recorded.seconds_between_loads(Path(args.logs[0]), rows)
     with recorded.opened(Path(args.logs[0])) as store:
         sets = recorded.parameter_sets(store)
-    found = measured_again(
+    found = recomputed(
         rows, loaded.machine, parameters, loaded.engine, sets=sets, zero_mv=args.zero_mv, delay_s=args.delay, between=between
     )
     with open_table(args.out, f".{args.format}" if args.format else None) as table:

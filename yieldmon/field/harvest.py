@@ -14,6 +14,7 @@ from .cleaning import Cleaned, clean, much_left_out
 from .cleaning_rules import Context
 from .delay import Decision, Delay
 from .harvest_notes import delays_and_crops, doubts, unmeasured
+from .header_flicker import bridged_header, flicker_note, flickers
 from .header_place import HeaderPlace, at_header
 from .loads import LoadResult, correct
 from .machines import Machine, machines_of, placed_by_machine
@@ -126,6 +127,10 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
     progress("passes")
     table = at_header(table, options.header)
     steps = tracks(table)
+    flicker = flickers(table, steps)
+    if flicker.any():
+        table = bridged_header(table, flicker)
+        steps = tracks(table)
     pairs = opposing_pairs(steps)
     progress("delay")
     machines = _machines(table, steps, pairs, options)
@@ -171,6 +176,7 @@ def make_map(table: HarvestTable, options: MapOptions, progress: Callable[[str],
         bushel_kg=common_bushel_kg(row_bushels_kg(crops)[table["flow_kg_s"] > 0.0]),
         transport=transport,
         notes=(
+            *((flicker_note(flicker),) if flicker.any() else ()),
             *by_weight.notes,
             *delays_and_crops(table, machines, transport_left=options.transport and transport is None),
             *unmeasured(table, steps),

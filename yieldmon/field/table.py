@@ -48,7 +48,7 @@ FORAGE_FLOW_S = 2.0
 the task data of studies/harvests, and its flow is measured at the feed rolls, before that."""
 UNKNOWN_SCALE_SD = 0.03
 """Relative standard deviation of a single load's factor about the field's, where fewer than three loads are weighed, or it was
-measured again and not weighed itself."""
+recomputed and not weighed itself."""
 #: Text columns.
 LABELS = ("field", "load", "crop", "machine", "product")
 
@@ -92,7 +92,7 @@ class Skipped:
 @dataclass(frozen=True)
 class KnownLoad:
     """A load that its source has corrected. factor, factor_sd: corrected over measured mass; weighed_kg: None where it was not
-    weighed itself but measured again."""
+    weighed itself but recomputed."""
 
     factor: float
     factor_sd: float

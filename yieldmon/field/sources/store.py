@@ -54,7 +54,7 @@ def read(path: Path, options: ReadOptions) -> HarvestTable:
 
 
 def known_loads(store: Store) -> dict[str, KnownLoad]:
-    """The loads that tickets of the store have corrected, or that were measured again, by number."""
+    """The loads that tickets of the store have corrected, or that were recomputed, by number."""
     history = TicketHistory(tuple(store.tickets()), tuple(store.actions()))
     known = {}
     for load in recorded.corrected_loads(store):

@@ -116,7 +116,7 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
 
 
 def read_loads(path: Path | str) -> list[LoadRecord]:
-    """The loads of a store, as measured, measured again and weighed.
+    """The loads of a store, as measured, recomputed and weighed.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def read_loads(path: Path | str) -> list[LoadRecord]:
     -------
     list of LoadRecord
         number, field, crop, started_s, ended_s (Unix time), area_m2, and masses in kg: mass_kg as measured, posted_mass_kg as
-        measured again, ticket_mass_kg as weighed, corrected_mass_kg the best of these.
+        recomputed, ticket_mass_kg as weighed, corrected_mass_kg the best of these.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A store's seconds measured again with other parameters, another zero or another delay: without the samples, which are gone.
+"""A store's seconds recomputed with other parameters, another zero or another delay: without the samples, which are gone.
 
 Kept of a second are mean force, its noise, speed, angle and moisture. The gate stays as it was: a second that was judged to be
 without grain has none, unless another zero says otherwise. The standard deviation of its flow that is neither noise nor the
@@ -28,7 +28,7 @@ _PLACED = ("latitude_deg", "longitude_deg", "ground_speed_m_s", "course_deg")
 
 @dataclass(frozen=True)
 class Reprocessed:
-    """rows: the seconds measured again. unusable: seconds with mass whose force, angle or speed is not known; they stay as they
+    """rows: the seconds recomputed. unusable: seconds with mass whose force, angle or speed is not known; they stay as they
     were."""
 
     rows: tuple[SecondRow, ...]
@@ -37,7 +37,7 @@ class Reprocessed:
     unusable: int
 
 
-def measured_again(
+def recomputed(
     rows: Sequence[SecondRow],
     machine: Machine,
     parameters: ParameterSet,
@@ -147,7 +147,7 @@ def _beyond(rows: Sequence[SecondRow], machine: Machine, sets: Mapping[int, Para
 
 
 def loads_of_rows(before: Sequence[SecondRow], after: Sequence[SecondRow], between: Container[int] = ()) -> list[ReprocessedLoad]:
-    """Each load's mass as measured and as measured again; between as in `measured_again`."""
+    """Each load's mass as measured and as recomputed; between as in `recomputed`."""
     masses: dict[int, list[float]] = {}
     for one, other in zip(before, after, strict=True):
         if (one.mass_kg or other.mass_kg) and load_of(one, between) is not None:
