@@ -19,6 +19,7 @@ from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE
 from yieldmon.estimation.self_calibration.closed_loop import self_calibrate
 from yieldmon.estimation.self_calibration.closed_loop_inputs import MeasuredDensity, Sweep
 from yieldmon.estimation.self_calibration.closed_loop_outcome import Outcome
+from yieldmon.estimation.self_calibration.drift import by_change
 from yieldmon.files import delimited, parameter_file, table, whole_file
 from yieldmon.physics.machine import Machine
 from yieldmon.physics.model import ForwardModel
@@ -27,6 +28,11 @@ from yieldmon.physics.numerics import Array
 LEVEL = 0.9
 _ROUNDING = 1e-9
 """Of the largest reading: what repeated rows of one number differ by from their mean."""
+
+_UNCHANGED = (
+    "the grain counts as unchanged since its calibration, and a misfit need not show a change: where it may have changed, "
+    "--drift friction=SD"
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -46,9 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="COL",
         help="column that identifies the sweeps (default: group, else the load, else one sweep)",
     )
-    parser.add_argument(
-        "--separate", action="store_true", help="evaluate each sweep alone, from the same prior (default: together)"
-    )
+    parser.add_argument("--separate", action="store_true", help="each sweep alone, from the same prior")
     parser.add_argument("--sigma", type=float, metavar="SD", help="noise of a reading (default: column sigma, else estimated)")
     parser.add_argument(
         "--model-error",
@@ -61,12 +65,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--flow",
         choices=FLOW_MODELS,
         default="constant",
-        help="assumed change of flow within a sweep",
+        help="change of flow within a sweep",
     )
     parser.add_argument(
         "--density",
         metavar="KG_M3:SD",
-        help="independent measurement of the parameter `density`",
+        help="a measured `density`",
+    )
+    parser.add_argument(
+        "--drift",
+        metavar="NAME=SD",
+        action="append",
+        default=[],
+        help="change of a parameter since its calibration, standard deviation (default: none)",
     )
     parser.add_argument("--out", metavar="FILE.yaml", help="parameter file to write (not with --separate)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
@@ -93,6 +104,11 @@ def run(args: argparse.Namespace) -> int:
             where, "has no covariance, so all parameters count as exact", "a covariance, as `calibrate --out` writes"
         )
     _provenance.note_same_table(data, prior, "--params")
+    drift = model_options.assignments(args.drift, "--drift")
+    try:
+        prior = by_change(prior, drift)
+    except ValueError as error:
+        raise InputError("--drift", str(error)) from error
     labels, names = _groups(data, args.group_by)
     sweeps, true = _sweeps(args, data, machine, labels, names)
     model = ForwardModel(machine, prior.effects)
@@ -106,6 +122,8 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise InputError(data.path, str(error)) from error
     document = _document(data, machine, outcomes, names, true, sweeps)
+    if drift:
+        document["drift"] = drift
     if args.out is not None:
         facts = {**prior.provenance, "method": "closed loop", **_provenance.of_table(data), "parent_version": str(prior.version)}
         if prior.scale_error > 0.0 and not prior.carried_from:
@@ -307,6 +325,8 @@ def _text(document: SelfCalibrationDocument) -> str:
         lines.append(f"scale {scale['direction']}: {width}, moved by {100 * scale['shift']:+.2f} %")
         lines += [f"unobservable: {text}" for text in update["unobservable"]]
         lines.append(f"{update['reason']}. chi2 {update['chi2']:.4g} for {update['dof']}, p = {update['p_value']:.2g}")
+    if "drift" not in document:
+        lines.append(_UNCHANGED)
     if "written" in document:
         lines.append(f"written: {document['written']}")
     return "\n".join(lines)

@@ -64,12 +64,13 @@ class UpdateDocument(TypedDict):
 
 
 class SelfCalibrationDocument(TypedDict):
-    """`yieldmon self-calibrate --json`. level: of the intervals; updates: one, or with --separate one for each group; written:
-    the file of --out."""
+    """`yieldmon self-calibrate --json`. level: of the intervals; updates: one, or with --separate one for each group; drift: of
+    --drift; written: the file of --out."""
 
     file: str
     level: float
     groups: list[SweepFlow]
     error_pct: SweepFlowErrors | None
     updates: list[UpdateDocument]
+    drift: NotRequired[dict[str, float]]
     written: NotRequired[str]

@@ -5,6 +5,7 @@ Random walks: variances grow in proportion to hours and to harvested mass, up to
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -35,3 +36,19 @@ def grow(parameters: ParameterSet, rates: DriftRates, hours: float, harvested_kg
         room = size * rates.limit.get(key, np.inf) ** 2 - parameters.covariance[i, i]
         added[i] = min(growth, max(room, 0.0))
     return replace(parameters, covariance=parameters.covariance + np.diag(added))
+
+
+def by_change(parameters: ParameterSet, std_dev: Mapping[str, float]) -> ParameterSet:
+    """The same values with their covariance after changes of these standard deviations, each in its parameter's unit and
+    independent of the others.
+
+    Raises ValueError for a parameter without a variance, and for a standard deviation that is not above 0.
+    """
+    names = parameters.covariance_names
+    for name, sd in std_dev.items():
+        if name not in names:
+            raise ValueError(f"{name} is not a parameter with a variance; expected one of {', '.join(names)}")
+        if not 0.0 < sd < np.inf:
+            raise ValueError(f"{name} is {sd:g}; expected a number above 0")
+    added = np.diag([std_dev.get(name, 0.0) ** 2 for name in names])
+    return replace(parameters, covariance=parameters.covariance + added)
