@@ -246,7 +246,7 @@ def print_text(found: diagnosis.Diagnosis) -> None:
 def _print_steps(steps: Sequence[Step], fitted: Fit) -> None:
     for step in steps:
         ties = f"; not distinguishable from {report.tied_names(step)}" if step.equivalent else ""
-        print(f"  {step.added} (confidence {step.confidence:.2f}{ties})")
+        print(f"  {step.added} ({report.confidence_words(step)}{ties})")
         for p, sd in zip(fitted.parameters, fitted.covariance().diagonal() ** 0.5, strict=True):
             if p.name.startswith(f"{step.law}."):
                 print(f"    {p.name.partition('.')[2]} = {fitted.values[p.name]:.4g} +- {sd:.2g} {p.unit}")

@@ -35,6 +35,7 @@ class Step:
     candidates: tuple[Candidate, ...]
     equivalent: tuple[str, ...]
     confidence: float
+    """nan: not known, of leading candidates only."""
     law: str
     """The law with which it was fitted, as in `Fit.effects`."""
     stability: float = 1.0

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
+from math import nan
 
 import numpy as np
 
@@ -24,6 +25,8 @@ FEATURES = ("stability", "margin", "misfit", "strength", "further", "effects", "
 _REACH = 2.0
 _FAR = 60.0
 """Margin above which a larger one has no further influence."""
+_MOST_LEFT = 0.7
+"""Share of the excess left by candidates beyond which hardly a case was calibrated on, so that no confidence is stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +101,13 @@ def shipped() -> Calibration:
 
 
 def calibrated(choice: Choice, by: Calibration) -> Choice:
-    """The choice with each step's confidence as a probability."""
+    """The choice with each step's confidence as a probability; nan where hardly a case of the calibration is like it."""
     if not choice.steps:
         return choice
-    rows = as_rows(features(choice))
+    found = features(choice)
+    if found[0]["left_share"] ** 2 > _MOST_LEFT:
+        return without_confidence(choice)
+    rows = as_rows(found)
     within = by.within(rows)
     # Without ties the name is the whole class.
     alone = np.array([not step.equivalent for step in choice.steps])
@@ -111,6 +117,11 @@ def calibrated(choice: Choice, by: Calibration) -> Choice:
         for step, c, n in zip(choice.steps, within, names, strict=True)
     )
     return replace(choice, steps=steps)
+
+
+def without_confidence(choice: Choice) -> Choice:
+    """The choice with nan as each step's confidence: the calibration holds no cases like it."""
+    return replace(choice, steps=tuple(replace(step, confidence=nan, name_confidence=nan) for step in choice.steps))
 
 
 def doubted(choice: Choice, policy: Policy) -> bool:

@@ -15,7 +15,7 @@ from . import diagnosis_notes, published
 from . import observations as obs
 from .candidates import Signature, library, signature
 from .choice import Choice, withdrawn
-from .confidence import calibrated, doubted, shipped
+from .confidence import calibrated, doubted, shipped, without_confidence
 from .detectability import minimum_detectable, size_seen
 from .diagnosis_result import DEFAULT, Diagnosis, Examination, HeldOut, Measure, Options
 from .experiment import plan
@@ -216,14 +216,15 @@ def _confirmed(
     if validation is not None and choice.verdict == "effect" and not validation.agrees:
         notes.append(diagnosis_notes.refuted(choice.named, validation))
         choice = withdrawn(choice, policy)
-    if choice.verdict == "effect" and angles_doubted:
+    # Hardly any of these is in the cases on which confidence was fitted.
+    assumed = noise.how == "assumed"
+    scattered = diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.MOST_SCATTER
+    unlike = angles_doubted or assumed or scattered or (validation is not None and validation.cross_fitted.value < 0.5)
+    if choice.verdict == "effect" and unlike:
+        if assumed and not angles_doubted:
+            notes.append(diagnosis_notes.noise_assumed(choice))
         choice = withdrawn(choice, policy)
-    if choice.verdict == "effect" and noise.how == "assumed":
-        notes.append(diagnosis_notes.noise_assumed(choice))
-        choice = withdrawn(choice, policy)
-    if choice.verdict == "effect" and diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.MOST_SCATTER:
-        choice = withdrawn(choice, policy)
-    choice = calibrated(choice, shipped())
+    choice = without_confidence(choice) if unlike else calibrated(choice, shipped())
     if doubted(choice, policy):
         notes.append(diagnosis_notes.not_trusted(choice))
         choice = withdrawn(choice, policy)

@@ -6,7 +6,7 @@ import base64
 import html
 import io
 from collections.abc import Sequence
-from math import degrees
+from math import degrees, isnan
 from pathlib import Path
 
 import numpy as np
@@ -125,12 +125,21 @@ def _not_named(diagnosis: Diagnosis) -> str:
     if tied > diagnosis.options.policy.largest_class:
         return f"{tied} effects explain these rows alike, so none is named; the best would leave {found.rms_over_max_pct:.1f} %."
     names = ", with ".join(_with_ties(step) for step in diagnosis.choice.steps)
-    confidence = 100.0 * diagnosis.choice.steps[0].confidence
+    confidence = diagnosis.choice.steps[0].confidence
+    how_often = (
+        "how often such candidates are right is not known"
+        if isnan(confidence)
+        else f"of 100 cases that look like this one the first is right in {100.0 * confidence:.0f}"
+    )
     return (
         "Something is missing, but what it is is not certain enough to be named. The best candidates: "
-        f"{names}; they would leave {found.rms_over_max_pct:.1f} %, and of 100 cases that look like this one the first "
-        f"is right in {confidence:.0f}."
+        f"{names}; they would leave {found.rms_over_max_pct:.1f} %, and {how_often}."
     )
+
+
+def confidence_words(step: Step) -> str:
+    """The confidence in a step in words."""
+    return "confidence not known" if isnan(step.confidence) else f"confidence {step.confidence:.2f}"
 
 
 def _with_ties(step: Step) -> str:
@@ -390,10 +399,14 @@ def _step(step: Step, diagnosis: Diagnosis) -> str:
     law = get_effect(step.law).law
     how = f" Law: {html.escape(law)}." if law else ""
     what = "" if diagnosis.choice.named else "partial candidate, "
+    how_sure = f"{confidence_words(step).capitalize()}: " + (
+        "no case with a known answer is like this one"
+        if isnan(step.confidence)
+        else "the share of names like this one, ties included, that were right on cases with known answers"
+    )
     return (
         f"<h3>{step.added} ({what}{effect.stage})</h3><p>{html.escape(effect.summary)}{how} {values}. "
-        f"Confidence {step.confidence:.2f}: the share of names like this one, ties included, that were right on cases with "
-        f"known answers.{ties} Signature: {html.escape(effect.signature)}.</p>"
+        f"{how_sure}.{ties} Signature: {html.escape(effect.signature)}.</p>"
     )
 
 

@@ -18,14 +18,15 @@ class EffectValue(TypedDict):
 
 
 class NamedEffect(TypedDict):
-    """An effect, in the order in which they were added. equivalent: names that these data do not distinguish from it."""
+    """An effect, in the order in which they were added. equivalent: names that these data do not distinguish from it. confidence,
+    name_confidence: null where not known, of leading candidates only."""
 
     name: str
     stage: str
     parameters: dict[str, EffectValue]
     law: str
-    name_confidence: float
-    confidence: float
+    name_confidence: Number
+    confidence: Number
     equivalent: list[str]
 
 
