@@ -88,6 +88,7 @@ MISTAKES = {
     "calibrate table.csv --prior fmt.yaml": "fmt.yaml: format: is 7; expected 1",
     "calibrate table.csv --estimator alpha_beta --effects gravity": "--effects: applies to the physical model only; expected none with",
     "calibrate table.csv --estimator table --stop-gap": "--stop-gap: applies to the physical model only; expected none with",
+    "calibrate table.csv --estimator table --starts 5": "--starts: applies to the physical model only; expected none with",
     "calibrate table.csv --estimator alpha_beta": "table.csv: rows at 45, 60, 70, 85 deg; alpha_beta holds at one plate angle: choose it",
     "calibrate --estimator table --loads log.log --tickets tickets.csv": "--estimator table: needs a table of known loads; expected",
     "calibrate oneload.csv --estimator table": "oneload.csv: 1 load at 70 deg; expected 3 or more that give a force above 0",

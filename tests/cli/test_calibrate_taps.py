@@ -70,6 +70,7 @@ def test_a_plate_that_rings_writes_nothing_and_ends_with_1(tmp_path, capsys):
         (["missing.log"], "missing.log: No such file"),
         (["quiet.log", "copy.log"], "copy.log: "),
         (["quiet.log", "--robust"], "--robust: applies to a table"),
+        (["quiet.log", "--seed", "0"], "--seed: applies to a table"),
         (["quiet.log", "--pulse-shape"], "--pulse-shape: is given together with --taps"),
         (["quiet.log", "--out", "quiet.log"], "quiet.log: "),
     ],

@@ -336,6 +336,22 @@ def test_an_outlier_is_named_by_its_row_in_the_file(capsys: pytest.CaptureFixtur
     assert any(f"row {number} lies" in note for note in found["notes"])
 
 
+@pytest.mark.parametrize(("outliers", "end"), [(10, "10 lie more than"), (13, "10 and 3 more lie more than")])
+def test_outliers_that_are_not_listed_are_counted(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, outliers: int, end: str
+) -> None:
+    rows = document(capsys, "predict", "--mass-flow", "2:20:1", "--plate-angle", "45:90:5", *PUBLISHED)["rows"]
+    scatter = np.random.default_rng(3).normal(1.0, 0.002, len(rows))
+    forces = [r["force_n"] * s * (1.5 if i < outliers else 1.0) for i, (r, s) in enumerate(zip(rows, scatter, strict=True))]
+    lines = [f"{r['plate_angle_deg']},{r['mass_flow_kg_s']},{f}" for r, f in zip(rows, forces, strict=True)]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(["plate_angle_deg,mass_flow_kg_s,force_n", *lines]) + "\n")
+    found = document(capsys, "calibrate", path, "--starts", "1", "--robust", "--fix", "density=1100")
+    assert len(found["residual"]["outlier_rows"]) == outliers
+    said = [note for note in found["notes"] if f"1, 2, 3, 4, 5, 6, 7, 8, 9, {end}" in note]
+    assert [note.partition("; ")[2] for note in said] == ["look at them."], "it is robust already"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 PROGRESS_AFTER_S = 2.0
+_SEARCH = {"starts": 20, "seed": 0}
+"""Options of the search where they are not given, which another way of calibrating refuses."""
 _NOT_WITH = {
     "stop_gap": ("prior", "by_moisture", "robust"),
     "by_moisture": ("compare", "identifiability", "profiles"),
@@ -56,6 +58,7 @@ MAP_NAME = "moisture-map.yaml"
 
 def run(args: argparse.Namespace) -> int:
     """Fit, report, write; the exit code. Raises InputError."""
+    args = _with_defaults(args)
     _check_options(args)
     machine = model_options.machine(args)
     data, rows = _read(args, machine)
@@ -88,6 +91,12 @@ def run(args: argparse.Namespace) -> int:
         document["written"] = args.out
     print_document(document, text, as_json=args.json, indent=1)
     return 0
+
+
+def _with_defaults(args: argparse.Namespace) -> argparse.Namespace:
+    """The arguments with numbers for those of the search that are not given."""
+    given = {name: value for name, value in vars(args).items() if name not in _SEARCH or value is not None}
+    return argparse.Namespace(**{**_SEARCH, **given})
 
 
 def _check_options(args: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from yieldmon.errors import InputError
 
 PHYSICAL_MODEL = (
     "robust", "by_moisture", "compare", "identifiability", "profiles", "free", "fix", "bounds", "impact", "effects", "stop_gap",
+    "starts", "seed",
 )  # fmt: skip
 """Names in the namespace of options that fit the physical model to a table."""
 _TABLE = (*PHYSICAL_MODEL, "response_scale", "plate_angle")
@@ -17,7 +18,8 @@ _TABLE = (*PHYSICAL_MODEL, "response_scale", "plate_angle")
 def refuse(args: argparse.Namespace, names: Iterable[str], problem: str, expected: str) -> None:
     """Raises InputError for the first of these options that is given."""
     for name in names:
-        if getattr(args, name) not in (None, False, "", []):
+        value = getattr(args, name)
+        if value is not None and value is not False and value not in ("", []):
             raise InputError(f"--{name.replace('_', '-')}", problem, expected)
 
 

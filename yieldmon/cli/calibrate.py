@@ -24,7 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--out", metavar="FILE.yaml", help="parameter file to write")
     parser.add_argument("--machine", metavar="FILE", help="file or shipped name (default: sprocket-8)")
-    parser.add_argument("--starts", type=int, default=20, metavar="N", help="number of random starts (default: 20)")
+    parser.add_argument("--starts", type=int, metavar="N", help="random starts (default: 20)")
     parser.add_argument("--free", metavar="A,B", help="parameters to fit (default: grain, impact and those of effects)")
     parser.add_argument("--fix", action="append", default=[], metavar="NAME=VALUE", help="hold a parameter at a value")
     parser.add_argument("--bounds", action="append", default=[], metavar="NAME=LOW:HIGH", help="search range of a parameter")
@@ -37,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--effects", default="", metavar="A,B", help="effects to add to the published model")
     parser.add_argument("--response-scale", type=float, metavar="S", help="units of `response` per kg m/s, if known")
     parser.add_argument("--plate-angle", type=float, metavar="DEG", help="use only the rows at this angle")
-    parser.add_argument("--robust", action="store_true", help="soft-L1 loss: reduces the weight of outliers")
+    parser.add_argument("--robust", action="store_true", help="soft-L1 loss: outliers weigh less")
     parser.add_argument(
         "--stop-gap",
         action="store_true",
@@ -58,7 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--profiles", metavar="FILE", help="plot the misfit against each parameter (*.png or *.svg; needs the plot extra)"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the random starts (default: 0)")
+    parser.add_argument("--seed", type=int, metavar="N", help="their seed (default: 0)")
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     group = parser.add_argument_group("calibration by weighed loads")
     group.add_argument(

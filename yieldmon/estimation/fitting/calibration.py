@@ -31,6 +31,7 @@ from .calibration_result import (
     ProfileCurve,
     Residuals,
     of_model_error,
+    of_outliers,
     sentences,
 )
 from .fit_uncertainty import FitUncertainty, fit_uncertainty, wald_intervals
@@ -275,6 +276,7 @@ def _examined(searched: Searched, response_unit: str, intervals: bool) -> Calibr
         jacobian=slopes,
         sentences=(
             *sentences(fitted, uncertainty.correlation, searched.basins, searched.starts, quality, problem.model.effects),
+            *of_outliers(quality.outlier_rows, robust=problem.robust),
             *of_model_error(fitted, known),
             *(() if problem.shows_noise or problem.given_sigma else (_NO_NOISE,)),
             *_of_sigma(problem, error),

@@ -19,6 +19,8 @@ _CERTAIN_P, _LIKELY_P = 0.001, 0.01
 """Probabilities of a larger lack of fit by noise alone, below which an effect is missing, and may be."""
 _WIDER = 1.5
 """Standard deviation over standard error from which the difference is said."""
+_LISTED = 10
+"""Largest number of outliers that are listed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +168,18 @@ def sentences(
             f"repeated rows scatter by more than their means allow ({found}, p > {1.0 - _CERTAIN_P:g}): some are of another "
             "unit, machine or grain, and no repetitions."
         )
-    if quality.outlier_rows:
-        rows = ", ".join(str(i + 1) for i in quality.outlier_rows[:10])
-        which, them = (f"row {rows} lies", "it") if len(quality.outlier_rows) == 1 else (f"rows {rows} lie", "them")
-        yield f"{which} more than {OUTLIER_SDS:g} robust standard deviations from the fit; look at {them}, or use --robust."
+
+
+def of_outliers(rows: Sequence[int], *, robust: bool) -> Iterable[str]:
+    """Which rows lie far from the fit. rows: indices in the table."""
+    if not rows:
+        return
+    numbers = ", ".join(str(i + 1) for i in rows[:_LISTED])
+    if (more := len(rows) - _LISTED) > 0:
+        numbers += f" and {more} more"
+    which, them = (f"row {numbers} lies", "it") if len(rows) == 1 else (f"rows {numbers} lie", "them")
+    remedy = f"look at {them}" if robust else f"look at {them}, or use --robust"
+    yield f"{which} more than {OUTLIER_SDS:g} robust standard deviations from the fit; {remedy}."
 
 
 def of_model_error(fitted: Sequence[FittedParameter], known: ParameterSet) -> Iterable[str]:
