@@ -60,6 +60,17 @@ def test_steps_at_which_hardly_any_repetition_differs_leave_the_rounding_as_nois
     assert found.constant >= 0.99 * step / np.sqrt(12.0)
 
 
+@pytest.mark.parametrize("missed", [0.1, 0.25, 0.3, 0.5])
+def test_exact_zeros_where_all_grain_misses_the_plate_are_no_measure_of_the_scatter(make_rows, missed: float) -> None:
+    for seed in range(1, 9):
+        rows = make_rows(noise=0.01, seed=seed)
+        cells_missed = np.random.default_rng(seed).permutation(int(rows.cell.max()) + 1) < missed * (rows.cell.max() + 1)
+        found, outlier = noise.estimate(replace(rows, value=np.where(cells_missed[rows.cell], 0.0, rows.value)))
+        assert not outlier.any()
+        level = 0.5 * float(rows.value.max())
+        assert found.sd(np.array([level]))[0] == pytest.approx(0.01 * np.hypot(level, 0.2 * level), rel=0.35)
+
+
 def test_two_outliers_that_agree_do_not_outvote_the_truth(make_rows) -> None:
     rows = make_rows(repeats=3)
     places = np.flatnonzero(rows.cell == rows.cell[40])

@@ -171,6 +171,23 @@ def test_the_robust_fit_of_the_bench_table_leans_less_on_an_outlier() -> None:
     assert shift[True] < 0.5 * shift[False]
 
 
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_exact_zeros_of_grain_that_misses_do_not_narrow_a_robust_fit(seed: int) -> None:
+    """A release 0.3 rad late throws below the plate at the lowest angles."""
+    model = ForwardModel(MACHINE, ("release_angle",))
+    angles, flows = np.meshgrid(np.radians([42.0, 50.0, 58.0, 62.0, 66.0, 74.0, 82.0, 90.0]), [2.0, 5.0, 9.0, 14.0, 19.0])
+    conditions = Conditions(np.repeat(angles.ravel(), 3), 400.0 * RPM, mass_flow_kg_s=np.repeat(flows.ravel(), 3))
+    values = TRUE | {"release_angle.angle_rad": 0.3}
+    clean = np.real(model.paddle_momentum(conditions, values))
+    rows = Measurements(conditions, clean * (1.0 + 0.01 * np.random.default_rng(seed).normal(size=clean.size)))
+    assert np.count_nonzero(clean == 0.0) == clean.size // 4
+    errors = [
+        calibrate(model, part, values, FREE, starts=1, robust=True, intervals=False).parameters[0].standard_error
+        for part in (rows, rows.select(clean > 0.0))
+    ]
+    assert errors[0] == pytest.approx(errors[1], rel=0.15)
+
+
 def test_high_readings_that_scatter_as_replicates_do_are_no_outliers() -> None:
     """At 5 % of the reading high ones lie many times farther from the fit than low ones."""
     conditions = Conditions(

@@ -21,6 +21,7 @@ from yieldmon.estimation.fitting.scatter_law import (
     medians,
     rounding_sd,
     scatter_law,
+    scattering,
     usual_deviation,
 )
 from yieldmon.estimation.gaussian import SD_PER_MAD
@@ -105,7 +106,8 @@ def _from_replicates(rows: Rows) -> tuple[Noise, NDArray[np.bool_]]:
     median = medians(rows.value, rows.cell)[rows.cell]
     deviation = np.abs(rows.value - median) / np.sqrt(1.0 - 1.0 / np.maximum(count, 2))
     form = either_form(median)
-    robust, rounding = usual_deviation((deviation / form)[repeated]), rounding_sd(rows.value)
+    counted = repeated & scattering(rows.value, rows.cell)
+    robust, rounding = usual_deviation((deviation / form)[counted if counted.any() else repeated]), rounding_sd(rows.value)
     sd = np.maximum(2.0 * max(robust, 1e-12) * form, rounding)
     outlier = _outliers_of_cells(rows, repeated & (deviation > OUTLIER_SDS * sd), sd)
     noise = _rounded(_variance_model(cells(rows.take(~outlier)), robust * float(form.mean())), rounding)
@@ -153,7 +155,10 @@ def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDA
 
 
 def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
-    repeated = grouped.count > 1
+    told = scattering(grouped.rows.value, grouped.rows.cell)
+    repeated = (grouped.count > 1) & (np.bincount(grouped.rows.cell, told) > 0.0)
+    if not repeated.any():
+        repeated = grouped.count > 1
     dof = grouped.count[repeated] - 1.0
     variance = grouped.scatter[repeated] / dof
     level2 = grouped.mean[repeated] ** 2

@@ -16,7 +16,7 @@ from yieldmon.physics.numerics import Array
 
 from .batch import MomentumBatch
 from .measurements import Measurements
-from .scatter_law import LEAST_PURE_DOF, OUTLIER_SDS, either_form, fit_variances, medians, usual_deviation
+from .scatter_law import LEAST_PURE_DOF, OUTLIER_SDS, either_form, fit_variances, medians, scattering, usual_deviation
 
 ROBUST_SCALE = 1.5
 """Residuals beyond this many noise standard deviations lose weight (soft L1)."""
@@ -147,8 +147,9 @@ class CalibrationProblem:
         y = self.data.momentum
         middle = medians(y, self.cell)
         repeated = counts[self.cell] > 1
-        spread = np.abs(y - middle[self.cell])[repeated] * np.sqrt(np.count_nonzero(repeated) / dof)
-        return usual_deviation(spread), dof
+        spread = np.abs(y - middle[self.cell]) * np.sqrt(np.count_nonzero(repeated) / dof)
+        told = repeated & scattering(y, self.cell)
+        return usual_deviation(spread[told if told.any() else repeated]), dof
 
     def _spread(self) -> Array | None:
         if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
@@ -157,7 +158,8 @@ class CalibrationProblem:
         middle = medians(y, self.cell)
         repeated = np.bincount(self.cell)[self.cell] > 1
         relative = np.abs(y - middle[self.cell]) / either_form(middle)[self.cell]
-        usual = usual_deviation(relative[repeated])
+        told = repeated & scattering(y, self.cell)
+        usual = usual_deviation(relative[told if told.any() else repeated])
         good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
         count = np.bincount(self.cell[good], minlength=middle.size)
         mean = np.bincount(self.cell[good], y[good], minlength=middle.size) / np.maximum(count, 1)

@@ -65,6 +65,19 @@ def rounding_sd(readings: Array) -> float:
     return step / float(np.sqrt(12.0)) if np.all(np.abs(steps - np.round(steps)) < _SAME_STEP) else 0.0
 
 
+def scattering(readings: Array, group: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Rows (n,) of groups whose readings differ at all, or all rows where no group's do or readings lie whole steps apart.
+
+    Where readings have every digit, repetitions that agree in all of them measured nothing, as where all grain misses the plate,
+    and do not show how much others scatter. group (n,): numbers from 0 without a gap.
+    """
+    lowest, highest = np.full(int(group.max()) + 1, np.inf), np.full(int(group.max()) + 1, -np.inf)
+    np.minimum.at(lowest, group, readings)
+    np.maximum.at(highest, group, readings)
+    differ = (highest > lowest)[group]
+    return differ if differ.any() and rounding_sd(readings) == 0.0 else np.ones(readings.size, dtype=bool)
+
+
 def medians(values: Array, group: NDArray[np.int64]) -> Array:
     """Median of the values (n,) in each group; group (n,): numbers from 0 without a gap."""
     return np.array([np.median(values[group == number]) for number in range(int(group.max()) + 1)])
