@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,15 @@ def test_where_no_sensor_is_named_the_frames_that_could_be_one_are(tmp_path: Pat
     text = (tmp_path / "n.yaml").read_text()
     assert "could be one" not in text
     assert "# The scale is a guess: mV per count (if `setup` was given counts: unit: mV, no scale);" in text
+
+
+def test_a_guess_is_told_beside_the_first_entry_that_has_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = _recording(tmp_path, 4000, 12000)
+    rng = np.random.default_rng(6)
+    log.write_text(re.sub("1A1#..", lambda _: f"1A1#{rng.integers(2000, 9000):04X}", log.read_text()))
+    in_mv = OWN_DBC.format(start=7, order=0).replace('(1,0) [0|65535] ""', '(0.125,0) [0|8191.875] "mV"')
+    (tmp_path / "own.dbc").write_text(in_mv + 'BO_ 417 Board: 2 Node\n SG_ Ch1 : 7|16@0+ (1,0) [0|65535] "" Node\n')
+    assert main(["signals", str(log), "--dbc", str(tmp_path / "own.dbc"), "--write", str(tmp_path / "n.yaml")]) == 0
+    text = (tmp_path / "n.yaml").read_text()
+    first, guess, counts = (text.index(part) for part in ("impact_voltage: {", "# The scale is a guess", "unit: counts"))
+    assert first < guess < counts

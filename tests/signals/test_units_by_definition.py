@@ -21,7 +21,7 @@ DEFINED: dict[str, dict[str, float | Exact]] = {
         **dict.fromkeys(("deg", "°", "degree", "degrees"), 1), "rad": 360.0 / TURN, "mrad": 0.36 / TURN,
         "arcmin": Exact(1, 60), "arcsec": Exact(1, 60**2), "mas": Exact(1, 1000 * 60**2),
     },
-    "%": {"%": 1, "percent": 1, "1": 100, "ppm": Exact(100, 10**6)},
+    "%": {"%": 1, "percent": 1, "1": 100, "‰": Exact(1, 10), "ppm": Exact(100, 10**6)},
     "kg/m3": {
         **dict.fromkeys(("kg/m3", "kg/m^3", "kg/m³", "g/l", "g/L"), 1), "kg/hl": Exact(1000, 100), "lb/bu": LB_KG / BUSHEL_M3,
         **dict.fromkeys(("kg/l", "kg/L", "kg/dm3"), 1000), "g/cm3": Exact(1, 1000) * 100**3, "t/m3": 1000,
@@ -80,7 +80,7 @@ def test_temperatures_have_a_zero_of_their_own(unit: str, water_freezes: float, 
     ("mV", "Volts", "V"), ("N", "Unit_KiloNewto", "kN"), ("kg", "LBS", "lb"), ("%", "Unit_PerCent", "%"),
     ("mV", "µV", "uV"), ("mV", "\u03bcV", "uV"), ("mV", "ÂµV", "uV"), ("deg", "Winkelgrad", "deg"), ("%", "Prozent", "%"),
     ("rpm", "Umdr/min", "rpm"), ("rpm", "U/s", "1/s"), ("rpm", "tr/min", "rpm"), ("rpm", "s-1", "1/s"), ("deg", "degrés", "deg"),
-    ("deg", "milliarcseconds", "mas"), ("deg", "arcminutes", "arcmin"),
+    ("deg", "milliarcseconds", "mas"), ("deg", "arcminutes", "arcmin"), ("%", "Promille", "‰"),
 ])  # fmt: skip
 def test_spellings_of_published_databases(quantity: str, spelt: str, as_defined: str) -> None:
     assert factor(quantity, spelt) == factor(quantity, as_defined)

@@ -47,6 +47,14 @@ TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance",
 """Fields of a NAME that identify a node, as `source` of a mapping takes them."""
 
 
+def _guesses(entry: str, told: set[str]) -> list[str]:
+    """What is said of an entry's keys that the bus does not show, once each. told: keys of which it is; those of the entry
+    are added."""
+    keys = [key for key in _GUESSES if key in entry and key not in told]
+    told.update(keys)
+    return [f"  # {_GUESSES[key]}" for key in keys]
+
+
 def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
     """A configuration to start from: the likeliest signal of each quantity, the others as comments. paths: of the DBC files."""
     lines = [
@@ -66,14 +74,17 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             continue
         shown, channels = _by_frame(free)
         entries = list(dict.fromkeys(entry for one in shown for entry in _entries(one, paths, candidates)))[:4]
-        lines += [f"  # {said}" for key, said in _GUESSES.items() if any(key in entry for entry in entries)]
+        told: set[str] = set()
+        first = entries.pop(0) if not free[0].weak else ""
+        lines += _guesses(first, told)
         if free[0].weak:
             how = "their rates" if quantity in IMPACT else "their units"
             lines.append(f"  # Nothing here is named like {quantity}; by {how} it could be:")
         else:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
-            lines.append(f"  {quantity}: {entries.pop(0)}")
-        lines += [f"  # or {quantity}: {entry}" for entry in entries]
+            lines.append(f"  {quantity}: {first}")
+        for entry in entries:
+            lines += [*_guesses(entry, told), f"  # or {quantity}: {entry}"]
         lines += [f"  # {said}" for said in _every_page(free[0], paths, candidates)]
         lines += [f"  # {said}" for said in _alike(shown, candidates)]
         lines += [f"  # {said}" for alike in channels for said in _which_channel(alike)]

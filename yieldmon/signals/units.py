@@ -27,7 +27,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
         "arcsec": 1 / 3600,
         "mas": 1e-3 / 3600,
     },
-    "%": {"%": 1.0, "percent": 1.0, "1": 100.0, "ppm": 1e-4},
+    "%": {"%": 1.0, "percent": 1.0, "1": 100.0, "‰": 0.1, "ppm": 1e-4},
     "kg/m3": {
         "kg/m3": 1.0,
         "kg/m^3": 1.0,
@@ -82,6 +82,7 @@ _SPELT = {
     "mas": "marcsec milliarcsec milliarcsecond milliarcseconds",
     "deg/s": "deg/sec degree/s degrees/s degrees/sec degrees/second",
     "%": "pct prozent unit_percent",
+    "‰": "permille promille",
     "km/h": "km/hr kmh kilometer/hour unit_kilometerperhour",
     "m/s": "m/sec meter/s meters/s meters/sec unit_meterpersecond unit_meterpersecon unit_meterpersec",
     "mph": "miles/h mi/h miles/hour",
