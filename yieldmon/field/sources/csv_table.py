@@ -121,7 +121,10 @@ def _read(found: _Table, where: str, options: ReadOptions) -> HarvestTable:
     rows = heads.without_headers(found.rows, names, where)
     if any(written_places.degrees(cell) != cell for row in found.sample for cell in _cells(row, positions)):
         rows = written_places.with_degrees(rows, positions)
-    table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, decimal_comma=comma, pointed=pointed)
+    most = min((len(row) for row in found.sample if len(row) >= len(names)), default=len(names))
+    table = read_rows(rows, numbers, texts, max([*numbers, *texts]) + 1, comma, pointed, most)
+    if most > len(names) and any(any(map(str.strip, row[len(names) :])) for row in found.sample):
+        notes = (*notes, f"rows have {most} fields and the heading {len(names)}: those beyond it are not used")
     if not table.count:
         why = f" ({table.skipped[0].why})" if table.skipped else ""
         raise InputError(where, f"has a header and no row that can be read{why}", "at least one row")

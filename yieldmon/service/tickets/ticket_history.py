@@ -229,7 +229,8 @@ class TicketHistory:
         """A ticket that stands. Raises InputError where there is none of this number."""
         standing = self.ledger.tickets
         if number not in standing:
-            known = ", ".join(map(str, standing)) or "a ticket that was entered; there is none"
+            numbers = ", ".join(map(str, standing))
+            known = f"a ticket that counts: {numbers}" if standing else "a ticket that was entered; there is none"
             done = "is undone already" if 1 <= number <= len(self.tickets) else "no such ticket"
             raise InputError(f"ticket {number}", done, known)
         return standing[number]

@@ -134,6 +134,7 @@ def read_rows(
     fields: int,
     decimal_comma: bool = False,
     pointed: Collection[int] = (),
+    most: int | None = None,
 ) -> Rows:
     """The rows as columns.
 
@@ -149,12 +150,14 @@ def read_rows(
         Whether numbers are written with a comma.
     pointed : collection of int
         Columns of which points part the thousands, see pointed_columns.
+    most : int or None
+        Most fields with a text that a row may have; None: any number.
     """
     arrays: dict[int, list[Array]] = {column: [] for column in numbers}
     labels = {column: _Labels(column) for column in texts}
-    short, wrong = _Bad(), _Bad()
+    short, long, wrong = _Bad(), _Bad(), _Bad()
     count = 0
-    while taken := _block(source, fields, short):
+    while taken := _block(source, fields, short, most, long):
         block, values = _block_numbers(*taken, numbers, wrong, decimal_comma, pointed)
         count += len(block)
         for column in numbers:
@@ -165,18 +168,24 @@ def read_rows(
         {column: np.concatenate(parts) if parts else np.zeros(0) for column, parts in arrays.items()},
         {column: label.whole() for column, label in labels.items()},
         count,
-        short.skipped(f"fewer than {fields} fields") + wrong.skipped("a field that is not a number"),
+        short.skipped(f"fewer than {fields} fields")
+        + long.skipped(f"more than the {most} fields of its heading, as where a number or name has the comma that parts fields")
+        + wrong.skipped("a field that is not a number"),
     )
 
 
-def _block(source: Iterator[tuple[int, list[str]]], fields: int, short: _Bad) -> tuple[list[int], list[list[str]]] | None:
-    """Numbers and fields of the next rows that have enough fields; None where there are no more."""
+def _block(
+    source: Iterator[tuple[int, list[str]]], fields: int, short: _Bad, most: int | None, long: _Bad
+) -> tuple[list[int], list[list[str]]] | None:
+    """Numbers and fields of the next rows that have enough fields and not too many; None where there are no more."""
     lines: list[int] = []
     block: list[list[str]] = []
     line = None
     for line, row in islice(source, BLOCK_ROWS):
         if len(row) < fields:
             short.add(line)
+        elif most is not None and len(row) > most and any(map(str.strip, row[most:])):
+            long.add(line)
         else:
             lines.append(line)
             block.append(row)
