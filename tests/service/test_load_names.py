@@ -73,6 +73,27 @@ def test_a_corrected_crop_is_as_if_it_had_been_chosen(tmp_path, capsys) -> None:
         assert mine["corrected_dry_mass_kg"] == pytest.approx(theirs["corrected_dry_mass_kg"], rel=1e-6)
 
 
+def test_a_crop_that_no_load_has_weighed_makes_no_load_better_known(tmp_path) -> None:
+    season = Season(tmp_path / "a")
+    with running(season.folder) as bench:
+        bench.play(14, 0.0)
+        bench.played()
+        ask(season.folder, "load", "start", "--crop", "corn")
+        bench.play(6, 80.0)
+        bench.played()
+        bench.taken()
+        ask(season.folder, "load", "stop")
+
+        def relative(mass: str, std_dev: str) -> float:
+            (row,) = ask(season.folder, "load", "list")["loads"]
+            return row[std_dev] / row[mass]
+
+        measured = relative("mass_kg", "std_dev_kg")
+        for crop in ("wheat", "corn"):
+            ask(season.folder, "load", "correct", "2", "--crop", crop)
+            assert relative("corrected_mass_kg", "corrected_std_dev_kg") >= 0.999 * measured, crop
+
+
 def test_what_a_correction_refuses_is_said_in_one_line(tmp_path, capsys) -> None:
     season = Season(tmp_path / "a")
     season.truth = {}

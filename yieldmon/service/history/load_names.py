@@ -20,7 +20,7 @@ from yieldmon.files.crops import find_crop
 from yieldmon.service.history import undo
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.load_factor import load_factor
-from yieldmon.service.history.parameter_spread import parameter_spread
+from yieldmon.service.history.parameter_spread import parameter_spread, states_its_scale
 from yieldmon.service.history.reference_loads import StoredLoad
 from yieldmon.service.history.request_context import RequestContext
 from yieldmon.service.logs.measured_loads import MeasuredLoad
@@ -107,7 +107,7 @@ def _factor(
     found = load_factor(measured, parameters, monitor.machine)
     if found is None:
         return "too little of it rests on a known force"
-    return found, parameter_spread(measured, parameters, monitor.machine)
+    return found, parameter_spread(measured, parameters, monitor.machine) if states_its_scale(parameters) else None
 
 
 def _tickets_of(loads: Sequence[Load], journal: Journal) -> dict[int, Ticket]:

@@ -24,6 +24,12 @@ _STEP = 1e-2
 """Share of a standard deviation, and of the force, for finite differences."""
 
 
+def states_its_scale(parameters: ParameterSet) -> bool:
+    """Whether a spread by these parameters says what a mass may be off by: what no load of this machine has set the scale of may
+    be off otherwise than by the parameters' own covariance."""
+    return parameters.is_weighed or parameters.scale_error > 0.0
+
+
 def parameter_spread(
     load: MeasuredLoad, parameters: ParameterSet, machine: Machine, covariance: Array | None = None
 ) -> ParameterSpread | None:

@@ -18,7 +18,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.load_factor import load_factor
-from yieldmon.service.history.parameter_spread import parameter_spread
+from yieldmon.service.history.parameter_spread import parameter_spread, states_its_scale
 from yieldmon.service.history.parameter_timeline import Timeline, timeline
 from yieldmon.service.logs.measured_loads import MeasuredLoad, measured_loads, rows_in_loads
 from yieldmon.service.logs.recorded import opened, parameter_sets
@@ -73,8 +73,7 @@ def remeasured(
     """
     renamed = {} if of_crop is None else of_crop
     out = {}
-    # What no load of this machine has set the scale of may be off otherwise than by the parameters' own covariance.
-    stated = known.parameters.is_weighed or known.parameters.scale_error > 0.0
+    stated = states_its_scale(known.parameters)
     for load in loads:
         versions = {row.parameter_version for row in load.seconds}
         if not renamed.get(int(load.name), versions <= known.versions):
