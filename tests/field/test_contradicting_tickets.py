@@ -51,6 +51,13 @@ CASES = {
         [("1", LB * KG[1])], set(),
         "ticket of load 1 weighs 1764 kg, 2.2 times what was measured, as if pounds were taken for kilograms: are", LB,
     ),
+    "one alone by a hundred times": (
+        [("1", 0.01 * KG[1])], {1}, "ticket of load 1 weighs 8 kg, where 800 kg were measured: left out; is its unit,", 1.0,
+    ),
+    "of two by ten times": (
+        [("1", 1.02 * KG[1]), ("2", 10.0 * KG[2])], {2}, "ticket of load 2 weighs 8200 kg, where 820 kg were measured: left out;",
+        1.02,
+    ),
 }  # fmt: skip
 
 

@@ -52,6 +52,20 @@ def test_what_is_written_and_taken_away(tmp_path: Path) -> None:
     assert files(tmp_path) == set()
 
 
+def test_what_was_written_for_an_earlier_interface_goes_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for interface in ("can0", "can-rear", "can9"):
+        assert install(tmp_path, "--interface", interface) == 0
+    changed = tmp_path / "etc/systemd/network/80-can9.network"
+    changed.write_text(changed.read_text().replace("250K", "500K"))
+    strange = tmp_path / "etc/systemd/network/80-eth0.network"
+    strange.write_text("[Match]\nName=eth0\n")
+    capsys.readouterr()
+    assert main(["install", "--root", str(tmp_path), "--uninstall", "--dry-run"]) == 0
+    assert capsys.readouterr().out.count("80-can0.network") == 1
+    assert main(["install", "--root", str(tmp_path), "--uninstall"]) == 0
+    assert files(tmp_path) == {CONFIGURATION, *(str(path.relative_to(tmp_path)) for path in (changed, strange))}
+
+
 def test_the_page_comes_when_asked_for(tmp_path: Path) -> None:
     assert install(tmp_path, "--web") == 0
     page = (tmp_path / "etc/systemd/system/yieldmon-web.service").read_text(encoding="utf-8")

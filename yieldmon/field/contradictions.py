@@ -10,6 +10,7 @@ import numpy as np
 
 from yieldmon.estimation.weighing.ticket_slips import UNIT_SLIPS
 from yieldmon.estimation.weighing.unlike_others import LEAST_LOADS, unlike_the_others
+from yieldmon.files.ticket_file import unit_slip
 
 _NEAR_LN = 0.07
 """Within which a factor may be that of a unit."""
@@ -33,7 +34,7 @@ def contradictions(
     tickets: Sequence[HeldTicket], measured_kg: Mapping[int, float], kind: Mapping[int, Hashable]
 ) -> tuple[frozenset[int], tuple[str, ...]]:
     """Which tickets are left out, and lines on these, on pairs of which either may be wrong, and on one or two that are far from
-    what was measured.
+    what was measured. One by a factor that no monitor is off by is left out, whatever the others are.
 
     Parameters
     ----------
@@ -50,10 +51,14 @@ def contradictions(
         Places in `tickets`.
     lines : tuple of str
     """
+    left_out, lines = set[int](), list[str]()
     by_kind: dict[Hashable, list[int]] = {}
     for number, ticket in enumerate(tickets):
+        if slip := unit_slip(ticket.mass_kg, sum(measured_kg[load] for load in ticket.loads)):
+            left_out.add(number)
+            lines.append(f"ticket of load {ticket.name} {slip}: left out; is its unit, its load or the harvest's unit wrong?")
+            continue
         by_kind.setdefault(frozenset(kind[load] for load in ticket.loads), []).append(number)
-    left_out, lines = set[int](), list[str]()
     for numbers in by_kind.values():
         factors = [tickets[n].mass_kg / sum(measured_kg[load] for load in tickets[n].loads) for n in numbers]
         off = unlike_the_others(-np.log(factors))

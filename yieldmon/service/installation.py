@@ -345,6 +345,17 @@ def bring_up(installer: Installer, interface: str) -> None:
         installer.report(f"note    no {interface} yet; the service starts when it appears")
 
 
+def _networks(installer: Installer) -> list[Path]:
+    """The network files that installations for any interface wrote, unless they were changed since."""
+    folder = Path("/etc/systemd/network")
+    text = shipped("systemd/80-can0.network").read_text(encoding="utf-8")
+    return [
+        folder / path.name
+        for path in sorted(installer.at(folder).glob("80-*.network"))
+        if path.read_bytes() == text.replace("can0", path.name.removeprefix("80-").removesuffix(".network")).encode()
+    ]
+
+
 def uninstall(installer: Installer, interface: str, *, purge: bool) -> None:
     """Take everything away; configuration and records only with `purge`."""
     if installer.at(UNITS / WEB_UNIT).exists():
@@ -352,7 +363,7 @@ def uninstall(installer: Installer, interface: str, *, purge: bool) -> None:
     installer.run("systemctl", "disable", "--now", "--no-reload", "yieldmon.service")
     # A unit that was never there is no failure to take it away.
     installer.failures.clear()
-    for path in (*places(interface).values(), UNITS / WEB_UNIT):
+    for path in dict.fromkeys((*places(interface).values(), UNITS / WEB_UNIT, *_networks(installer))):
         installer.remove(path)
     link = installer.at(LINK)
     if link.is_symlink():
