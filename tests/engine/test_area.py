@@ -142,6 +142,22 @@ def test_area_is_that_of_the_second_the_delay_before(seconds: list[tuple[float, 
         assert area == pytest.approx(expected, nan_ok=True)
 
 
+@pytest.mark.parametrize("says_up", [{"header_down": 0.0}, {"work_state": 0.0}], ids=["header", "work state"])
+@pytest.mark.parametrize(("moment_s", "speed_m_s", "cuts"), [(1, 2.0, True), (2, 2.0, True), (3, 2.0, False), (1, 0.0, False)])
+def test_a_moment_with_the_header_up_within_a_pass_cuts_on(
+    moment_s: int, speed_m_s: float, cuts: bool, says_up: dict[str, float]
+) -> None:
+    """speed_m_s: while it is up."""
+    down = {"ground_speed": SPEED_M_S, **dict.fromkeys(says_up, 1.0)}
+    up = {"ground_speed": speed_m_s, **says_up}
+    reported = [down] * 20 + [up] * moment_s + [down] * 40
+    areas = drive(Implement(working_width_m=WIDTH_M, grain_delay_s=12.0), reported, [True] * len(reported))
+    whole = WIDTH_M * SPEED_M_S
+    assert areas[12:32] == [whole] * 20
+    assert areas[32 : 32 + moment_s] == [whole if cuts else 0.0] * moment_s
+    assert areas[32 + moment_s :] == [whole] * (len(reported) - 32 - moment_s)
+
+
 def test_without_a_width_no_area_is_known() -> None:
     assert isnan(drive(Implement(), [{"ground_speed": 0.0}], [False])[0])
 

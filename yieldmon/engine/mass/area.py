@@ -2,7 +2,8 @@
 
 Grain reaches the plate some seconds after the header has cut it (`Implement.grain_delay_s`). The area counted with a second is
 the area cut that long before, so mass over area is a yield at any moment, and load by load. Where the bus reports the header up
-or the drives off, nothing is cut; where it reports neither, the area driven counts while grain comes. Grain that comes when the
+or the drives off, nothing is cut; where it reports neither, the area driven counts while grain comes. A header that is up for a
+moment within a pass, as a loose switch reports it, cuts on where the delay leaves time to see that. Grain that comes when the
 machine should long have run empty contradicts the header, as where its signal is inverted: no area is known from then on, until
 grain has come as long with the header down.
 """
@@ -19,13 +20,19 @@ from yieldmon.engine.settings import GateSettings
 from yieldmon.frames import HeaderDown, WorkState
 from yieldmon.physics.machine import Implement
 
+_MOMENT_S = 2.0
+"""No header is lifted over a headland, turned and lowered so soon."""
+
 
 class _Cut(NamedTuple):
-    """Area rate in a second, nan where it is not known. by_header: whether the bus reported whether the header cuts."""
+    """Area rate in a second, nan where it is not known. by_header: whether the bus reported whether the header cuts. driven_m2_s:
+    the rate if it cut. idle: whether header or drives were reported not to cut."""
 
     end_s: float
     rate_m2_s: float
     by_header: bool
+    driven_m2_s: float
+    idle: bool
 
 
 class AreaCounter:
@@ -59,6 +66,7 @@ class AreaCounter:
         idle = inputs.fresh["header_down"] == HeaderDown.UP or inputs.fresh["work_state"] == WorkState.NOT_WORKING
         self._compare(end_s, idle=idle, grain_comes=grain_comes)
         self._cuts.append(self._cut(end_s, inputs.fresh, idle=idle))
+        self._bridge_a_moment()
         while len(self._cuts) > 1 and self._cuts[1].end_s <= end_s - self._delay_s:
             self._cuts.popleft()
         cut = self._cuts[0]
@@ -87,7 +95,23 @@ class AreaCounter:
 
     def _cut(self, end_s: float, fresh: Mapping[str, float], *, idle: bool) -> _Cut:
         header, work, speed_m_s = fresh["header_down"], fresh["work_state"], fresh["ground_speed"]
-        if idle or speed_m_s < self._min_speed_m_s:
-            return _Cut(end_s, 0.0 if self._width_m is not None else nan, by_header=True)
         width_m = nan if self._width_m is None else self._width_m
-        return _Cut(end_s, width_m * speed_m_s, header == HeaderDown.DOWN or work == WorkState.WORKING)
+        stands = speed_m_s < self._min_speed_m_s
+        driven_m2_s = 0.0 * width_m if stands else width_m * speed_m_s
+        if idle or stands:
+            return _Cut(end_s, 0.0 * width_m, by_header=True, driven_m2_s=driven_m2_s, idle=idle)
+        return _Cut(end_s, driven_m2_s, header == HeaderDown.DOWN or work == WorkState.WORKING, driven_m2_s, idle=False)
+
+    def _bridge_a_moment(self) -> None:
+        """Between two seconds in which ground is cut a moment without cuts it too."""
+        count = len(self._cuts)
+        begin = count - 1
+        while begin and self._cuts[begin - 1].idle:
+            begin -= 1
+        if not 0 < begin < count - 1 or self._cuts[-2].end_s - self._cuts[begin - 1].end_s > _MOMENT_S:
+            return
+        if not (self._cuts[-1].rate_m2_s > 0.0 and self._cuts[begin - 1].rate_m2_s > 0.0):
+            return
+        for place in range(begin, count - 1):
+            cut = self._cuts[place]
+            self._cuts[place] = cut._replace(rate_m2_s=cut.driven_m2_s, by_header=True, idle=False)
