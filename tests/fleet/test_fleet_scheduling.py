@@ -53,6 +53,7 @@ class Client:
     harms: ClassVar[list[Exception]] = []
     submitted: ClassVar[list[str]] = []
     dashboard_link = ""
+    cluster = None
 
     def __init__(self, address: str, timeout: int) -> None:
         self._harm = Client.harms.pop() if Client.harms else None

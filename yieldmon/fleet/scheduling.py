@@ -27,11 +27,15 @@ from yieldmon.fleet.worker import Outcome, Task, failed, found_in_dataset, left_
 _RETRIES = 2
 """Of a task that failed for other reasons than its inputs, a storage that did not answer for instance."""
 _DEATHS = 3
-"""Workers that may die with a task before it is given up, and while they start before the run is."""
+"""Workers that may die with a task before it is given up, and while they start before the run is; and how often all of them may
+end without an answer."""
 _IN_FLIGHT = 256
+_INSTEAD = "--workers 0 measures in this process alone"
 _FORKSERVER, _PREFORK = "forkserver", "yieldmon.fleet.prefork"
 _QUIET = logging.CRITICAL
 """Of Dask's own lines, here and in the workers: what goes wrong is said by what comes back."""
+_LOOKED_AFTER_S = 0.1
+"""Between two looks at whether workers are left."""
 _TIMEOUT_S = 60.0
 """How long a scheduler that is gone is waited for."""
 
@@ -66,11 +70,12 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
     InputError
         Another run took the dataset over; no scheduler at the address.
     OSError
-        The scheduler stayed away.
+        The scheduler stayed away, or the workers of this machine did not stay.
     """
     left = {task.partition.name: task for task in tasks}
     lost = _lost()
     met = False
+    deserted = 0
     deadline = time.monotonic() + (_TIMEOUT_S if cluster.scheduler else 0.0)
     while left:
         answered = len(left)
@@ -81,6 +86,11 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
                 for outcome in _answers(client, list(left.values())):
                     del left[outcome.name]
                     take(outcome)
+        except _Deserted as error:
+            deserted = 1 if len(left) < answered else deserted + 1
+            if deserted == _DEATHS:
+                raise OSError(f"the workers end before they answer; {_INSTEAD}") from error
+            say("the workers have ended; starting others")
         except lost as error:
             if not cluster.scheduler:
                 raise
@@ -98,6 +108,10 @@ def run_all(tasks: Sequence[Task], cluster: Cluster, take: Callable[[Outcome], N
 
 class _SchedulerLost(Exception):
     """Futures were cancelled, which this process did not ask for."""
+
+
+class _Deserted(Exception):
+    """All workers of this machine have ended, and Dask starts no others."""
 
 
 def _lost() -> tuple[type[BaseException], ...]:
@@ -172,7 +186,7 @@ def _started(workers: int, *, forked: bool) -> Any:
     cause = failed
     while cause is not None and (before := cause.__cause__ or cause.__context__):
         cause = before
-    instead = "; --workers 0 measures in this process alone" if workers else ""
+    instead = f"; {_INSTEAD}" if workers else ""
     raise OSError(f"the workers do not start: {cause}{instead}") from failed
 
 
@@ -212,7 +226,7 @@ def _answers(client: Any, tasks: Sequence[Task]) -> Iterator[Outcome]:
     submitted = {_submit(client, task): task for task in islice(waiting, _IN_FLIGHT)}
     untyped: Any = distributed
     completed = untyped.as_completed(list(submitted))
-    for future in completed:
+    for future in _in_turn(client, completed):
         task = submitted.pop(future)
         outcome = _answer(future, task)
         for following in islice(waiting, 1):
@@ -221,6 +235,28 @@ def _answers(client: Any, tasks: Sequence[Task]) -> Iterator[Outcome]:
             completed.add(another)
         future.release()
         yield outcome
+
+
+def _in_turn(client: Any, completed: Any) -> Iterator[Any]:
+    """The futures as they are done. Raises _Deserted where no worker is left to do the others."""
+    if client.cluster is None:
+        # One that runs elsewhere, which other workers may join.
+        yield from completed
+        return
+    while completed.count():
+        while not completed.has_ready():
+            if not _has_workers(client.cluster):
+                raise _Deserted
+            with completed.thread_condition:
+                completed.thread_condition.wait(_LOOKED_AFTER_S)
+        yield next(completed)
+
+
+def _has_workers(local: Any) -> bool:
+    """Whether a worker of this machine is there or being started."""
+    from distributed.core import Status
+
+    return any(worker.status not in (Status.closed, Status.failed) for worker in local.workers.values())
 
 
 def _submit(client: Any, task: Task) -> Any:
