@@ -522,5 +522,5 @@ def test_a_log_that_follows_another_shares_no_times_with_it(capsys, tmp_path, lo
 @pytest.mark.parametrize("kind", [str, Path])
 def test_a_single_path_is_no_list_of_logs(tmp_path: Path, kind: type) -> None:
     monitor = build_monitor(LOADED.engine, LOADED.machine, LOADED.parameters)
-    with pytest.raises(ValueError, match=r"^paths: '.*a\.log': expected a list of paths, such as \['.*a\.log'\]$"):
+    with pytest.raises(ValueError, match=r"^paths: is '.*a\.log'; expected a list of paths, such as \['.*a\.log'\]$"):
         process_logs(kind(tmp_path / "a.log"), monitor, CODEC, [].append)

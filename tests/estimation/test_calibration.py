@@ -562,7 +562,7 @@ def test_an_outlier_of_a_robust_fit_is_no_error_of_the_model() -> None:
             lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([5.0, 7.0, 900.0, 9.0])), np.ones(4)),
             "the heaviest load, 900 kg/s in row 3;",
         ),
-        (lambda: HOME, "data: Conditions: expected Measurements"),
+        (lambda: HOME, "data: is of type Conditions; expected Measurements"),
         (lambda: Measurements(Conditions(1.2, 42.0, mass_flow_kg_s=np.full(8, -5.0)), np.ones(8)), "load must be 0 or more"),
         (lambda: Measurements(Conditions(1.2, np.full(7, 42.0), mass_flow_kg_s=5.0), np.ones(8)), r"rad_s has the shape \(7,\)"),
         (lambda: Measurements(HOME, np.zeros(8)), "every reading is 0"),
@@ -592,7 +592,7 @@ def test_a_search_that_cannot_be_made_is_refused(free: tuple[str, ...], changes:
 
 def test_a_start_is_values_by_name() -> None:
     rows = generated(Conditions(1.2, 42.0, mass_flow_kg_s=np.array([1.0, 2.0, 5.0, 9.0])))
-    with pytest.raises(ValueError, match="start: ParameterSet: expected values by name"):
+    with pytest.raises(ValueError, match="start: is of type ParameterSet; expected values by name"):
         calibrate(MODEL, rows, ParameterSet(values=START), FREE)  # type: ignore[arg-type]
 
 

@@ -237,5 +237,5 @@ def test_shapes_that_do_not_broadcast_are_named() -> None:
 
 def test_parameters_are_a_parameter_set() -> None:
     values = {"friction": 0.2, "restitution": 0.6, "density": 1100.0, "shape_ratio": 2.0}
-    with pytest.raises(ValueError, match=r"^parameters: dict: expected a ParameterSet"):
+    with pytest.raises(ValueError, match=r"^parameters: is of type dict; expected a ParameterSet"):
         OpenLoop(ForwardModel(Machine()), values)  # type: ignore[arg-type]

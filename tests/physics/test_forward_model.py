@@ -217,7 +217,7 @@ def test_grain_that_cannot_be_is_refused(values: dict[str, object], message: str
 
 def test_parameters_are_values_by_name() -> None:
     conditions = Conditions(1.2, 42.0, mass_flow_kg_s=1.0)
-    with pytest.raises(ValueError, match=r"^parameters: ParameterSet: expected values by name, such as the `values`"):
+    with pytest.raises(ValueError, match=r"^parameters: is of type ParameterSet; expected values by name, such as the `values`"):
         MODEL.force(conditions, ParameterSet(values=GRAIN))  # type: ignore[arg-type]
 
 
@@ -333,6 +333,6 @@ def test_the_default_order_of_the_quadrature_is_as_right_as_stated(lowest: float
 
 
 def test_effects_are_given_by_name() -> None:
-    with pytest.raises(ValueError, match="effects: Effect instead of a name"):
+    with pytest.raises(ValueError, match=r"effects\[0\]: is of type Effect; expected names"):
         ForwardModel(MACHINE, (get_effect("gravity"),))  # type: ignore[arg-type]
     assert ForwardModel(MACHINE, "gravity").effects == ("gravity",)

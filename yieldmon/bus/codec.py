@@ -99,8 +99,10 @@ class Codec:
         Raises
         ------
         FrameError
-            For a length that is not the DBC's.
+            For a length that is not the DBC's, and for what is no can.Message.
         """
+        if not isinstance(message, can.Message):
+            raise FrameError(f"{type(message).__name__}: no can.Message to decode")
         if message.is_error_frame or message.is_remote_frame or not message.is_extended_id:
             return None
         entry = self._entry(message.arbitration_id)
@@ -143,10 +145,12 @@ class Codec:
         Raises
         ------
         FrameError
-            For a message the DBC does not name, a signal too many or too few, a value outside the signal's range (nothing is
-            clipped) or no number, a code that the value table does not define, and for NOT_AVAILABLE or ERROR on a signal that
-            has no raw value for it.
+            For what is no Frame, a message the DBC does not name, a signal too many or too few, a value outside the signal's
+            range (nothing is clipped) or no number, a code that the value table does not define, and for NOT_AVAILABLE or ERROR
+            on a signal that has no raw value for it.
         """
+        if not isinstance(frame, Frame):
+            raise FrameError(f"{type(frame).__name__}: no Frame to encode")
         layout = self.layouts.get(frame.message)
         if layout is None:
             raise FrameError(f"{frame.message}: no such message, expected one of {', '.join(self.layouts)}")
@@ -204,12 +208,20 @@ def _unpack(signal: SignalLayout) -> _Unpack:
     )
 
 
+def _is_finite(value: object) -> bool:
+    """False also for what is no number."""
+    try:
+        return math.isfinite(value)  # type: ignore[arg-type]
+    except TypeError:
+        return False
+
+
 def _raw(signal: SignalLayout, value: Value, message: str) -> int:
     if isinstance(value, Unusable):
         if not signal.has_reserved_values:
             raise FrameError(f"{message}.{signal.name}: cannot say {value.value!r}, every raw value is a count")
         return signal.mask if value is NOT_AVAILABLE else signal.raw_error
-    if not math.isfinite(value):
+    if not _is_finite(value):
         raise FrameError(f"{message}.{signal.name}: {value}, expected a finite number or NOT_AVAILABLE")
     if signal.integral and value != int(value):
         raise FrameError(f"{message}.{signal.name}: {value}, expected a whole number")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from yieldmon.arguments import require_type
 from yieldmon.errors import InputError
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files.table import Table
@@ -54,7 +55,7 @@ def diagnose(
     Raises
     ------
     InputError
-        For a table that is not sufficient for a diagnosis.
+        For a table that is not sufficient for a diagnosis, and an argument of another type.
 
     Examples
     --------
@@ -65,6 +66,10 @@ def diagnose(
         ...
     yieldmon.errors.InputError: bench.csv: has 3 rows with load and reading; expected at least 8
     """
+    require_type("table", table, Table, "a Table, as `load_table` gives it")
+    require_type("machine", machine, Machine, "a Machine")
+    require_type("parameters", parameters, ParameterSet, "a ParameterSet")
+    require_type("options", options, Options, "Options")
     return diagnose_rows(obs.from_table(table, machine), parameters, options, progress, table.path)
 
 

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.arguments import require_type
 from yieldmon.documents.diagnose import Verdict
+from yieldmon.errors import InputError
+from yieldmon.physics.effects import registry
 
 from .choice import Choice
 from .experiment import Plan
@@ -18,6 +21,8 @@ from .observations import Rows
 from .policy import Policy
 from .stopgap import Correction
 from .validation import Share, Validation
+
+_FORMS = ("auto", "restitution", "exchange")
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,11 @@ class Options:
     policy : Policy
         Thresholds for naming an effect.
 
+    Raises
+    ------
+    InputError
+        For another form, and for an effect that is not known.
+
     Examples
     --------
     >>> api.Options(hold_out="none").form
@@ -51,6 +61,14 @@ class Options:
     keep_effects: bool = False
     seed: int = 1
     policy: Policy = field(default_factory=Policy)
+
+    def __post_init__(self) -> None:
+        if self.form not in _FORMS:
+            raise InputError("form", f"is {self.form!r}", f"{', '.join(_FORMS[:-1])} or {_FORMS[-1]}")
+        require_type("without", self.without, (tuple, list), "names such as ('gravity',)")
+        for name in self.without:
+            if name not in registry():
+                raise InputError("without", f"{name!r} is not an effect", f"one of {', '.join(registry())}")
 
 
 DEFAULT = Options()

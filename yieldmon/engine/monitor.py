@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from yieldmon.arguments import of_other_type, require_type, require_within
 from yieldmon.engine import operator_zero
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.flow_estimator import FlowEstimator
@@ -26,8 +27,8 @@ from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.sampling.since_zero import KeptSecond
 from yieldmon.engine.self_calibration.calibrator import SelfCalibrator
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, Weighing
-from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.sources import DEFAULT_SOURCES, Sources
+from yieldmon.engine.settings import MARKET_MOISTURE_PCT, EngineSettings
+from yieldmon.engine.sources import DEFAULT_SOURCES, THOUSAND_KERNELS_G, Sources
 from yieldmon.engine.state import EngineState, TicketState
 from yieldmon.engine.timeline import Timeline
 from yieldmon.frames import Frame
@@ -83,6 +84,8 @@ class Monitor(MonitorView):
         drives_plate: bool = True,
         waveform_later: bool = False,
     ) -> None:
+        require_type("settings", settings, EngineSettings, "`engine` of what `load_configuration` gives")
+        require_type("machine", machine, Machine, "a Machine")
         parts = Parts.of(settings, machine, estimator, calibrator, sources=sources, ranges=ranges, drives_plate=drives_plate)
         super().__init__(parts, sources)
         self._timeline = Timeline(parts, waveform_later=waveform_later)
@@ -101,7 +104,14 @@ class Monitor(MonitorView):
         -------
         list of WindowResult or PlateCommand
             What happened, in order, usually nothing.
+
+        Raises
+        ------
+        InputError
+            For what is no Frame.
         """
+        if not isinstance(frame, Frame):
+            raise of_other_type("frame", frame, "a Frame, as `Codec.decode` makes it of a can.Message")
         return self._timeline.take(frame)
 
     def tick(self, time_s: float) -> list[Result]:
@@ -197,8 +207,14 @@ class Monitor(MonitorView):
         Parameters
         ----------
         moisture_pct : float
-            Wet basis, %; the configuration's `totals.moisture_reference_pct` takes precedence.
+            Wet basis, 0 to 40 %; the configuration's `totals.moisture_reference_pct` takes precedence.
+
+        Raises
+        ------
+        InputError
+            For another moisture.
         """
+        require_within("moisture_pct", moisture_pct, *MARKET_MOISTURE_PCT, "%")
         self._parts.loads.set_market_moisture(moisture_pct)
 
     def set_kernel_weight(self, thousand_kernel_weight_g: float) -> bool:
@@ -207,13 +223,19 @@ class Monitor(MonitorView):
         Parameters
         ----------
         thousand_kernel_weight_g : float
-            g.
+            g; 0: not known.
 
         Returns
         -------
         bool
             False where the waveform is not evaluated.
+
+        Raises
+        ------
+        InputError
+            For a weight that no grain has.
         """
+        require_within("thousand_kernel_weight_g", thousand_kernel_weight_g, 0.0, THOUSAND_KERNELS_G[1], "g")
         if self._parts.waveform is None:
             return False
         self._parts.waveform.kernel_weight_g = thousand_kernel_weight_g

@@ -16,6 +16,9 @@ from yieldmon.physics.grain import FLOW_PER_MOISTURE_PCT
 from yieldmon.setting_keys import by_name, choice, quantities, quantity
 from yieldmon.units import S_PER_DAY
 
+MARKET_MOISTURE_PCT = (0.0, 40.0)
+"""Range of a crop's market moisture, wet basis."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClockSettings:
@@ -121,7 +124,7 @@ class TotalsSettings:
     """Load and total mass."""
 
     moisture_reference_pct: float | None = quantity(
-        None, 0.0, 40.0, "%", "market moisture for dry mass, wet basis; null: the crop's (no crop: corn's)"
+        None, *MARKET_MOISTURE_PCT, "%", "market moisture for dry mass, wet basis; null: the crop's (no crop: corn's)"
     )
     credit_below_reference: bool = choice(False, "drier grain counts as more than its wet mass; false: as its wet mass")
     new_load: Literal["switch", "tank_scale", "command"] = choice(

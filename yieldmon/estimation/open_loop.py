@@ -10,6 +10,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yieldmon.arguments import require_type
 from yieldmon.physics.machine import FASTEST_ELEVATOR_RPM, RPM
 from yieldmon.physics.model import ForwardModel
 from yieldmon.physics.numerics import AnyArray, Array, chebyshev_points, refuse_shapes
@@ -227,7 +228,7 @@ class OpenLoop:
     Raises
     ------
     ValueError
-        For parameters that are no ParameterSet, and for other effects in them than in the model.
+        For a model that is no ForwardModel, parameters that are no ParameterSet, and other effects in them than in the model.
 
     References
     ----------
@@ -242,10 +243,8 @@ class OpenLoop:
     """
 
     def __init__(self, model: ForwardModel, parameters: ParameterSet) -> None:
-        if not isinstance(parameters, ParameterSet):
-            raise ValueError(
-                f"parameters: {type(parameters).__name__}: expected a ParameterSet, such as ParameterSet(values=...)"
-            )
+        require_type("parameters", parameters, ParameterSet, "a ParameterSet, such as ParameterSet(values=...)")
+        require_type("model", model, ForwardModel, "a ForwardModel")
         model = following(model, parameters)
         if set(parameters.effects) != set(model.effects):
             raise ValueError(f"the parameters name the effects {parameters.effects}; the model has {model.effects}")

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from yieldmon.arguments import require_path, require_type
 from yieldmon.errors import InputError
 from yieldmon.estimation.model_error import LARGEST as LARGEST_MODEL_ERROR
 from yieldmon.estimation.parameters import NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
@@ -185,7 +186,7 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     Raises
     ------
     InputError
-        For a folder that is missing or takes no file.
+        For a folder that is missing or takes no file, and an argument of another type.
     OSError
         As the system gives it.
 
@@ -198,6 +199,8 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     >>> again.values == api.load_parameters().values
     True
     """
+    require_type("parameters", parameters, ParameterSet, "a ParameterSet; the path comes after it")
+    require_path(path)
     text = strict_yaml.dump(to_document(parameters))
     whole_file.write(path, text, durable=True, mode=whole_file.READABLE)
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from yieldmon.arguments import all_of_type, require_type
+
 from .effects import changes_force, get_effect
 from .grain import EXCHANGE_FORM, GRAIN, RESTITUTION_FORM
 from .machine import FASTEST_ELEVATOR_RPM, RPM, Machine
@@ -103,7 +105,7 @@ class ForwardModel:
     Raises
     ------
     ValueError
-        For an effect that is not known or named twice.
+        For a machine that is no Machine, and for an effect that is no name, not known or named twice.
 
     Notes
     -----
@@ -125,10 +127,8 @@ class ForwardModel:
     """
 
     def __init__(self, machine: Machine, effects: Iterable[str] = (), *, nodes: int = 20) -> None:
-        names = (effects,) if isinstance(effects, str) else tuple(effects)
-        for name in names:
-            if not isinstance(name, str):
-                raise ValueError(f"effects: {type(name).__name__} instead of a name: expected names such as 'gravity'")
+        require_type("machine", machine, Machine, "a Machine")
+        names = (effects,) if isinstance(effects, str) else all_of_type("effects", effects, str, "names such as 'gravity'")
         if len(set(names)) != len(names):
             raise ValueError(f"effects {names}: each may be named once")
         self.machine = machine
@@ -331,9 +331,8 @@ class ForwardModel:
             raise ValueError(f"overfull {overfull!r}: expected 'raise' or 'nan'")
         refuses = overfull == "raise"
         if refuses:
-            if not isinstance(parameters, Mapping):
-                given = type(parameters).__name__
-                raise ValueError(f"parameters: {given}: expected values by name, such as the `values` of a ParameterSet")
+            require_type("conditions", conditions, Conditions, "Conditions")
+            require_type("parameters", parameters, Mapping, "values by name, such as the `values` of a ParameterSet")
             refuse_impossible("conditions", conditions.plate_angle_rad, conditions.elevator_speed_rad_s)
             self._refuse_position(conditions)
             self._refuse_other_names(parameters)

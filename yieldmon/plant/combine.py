@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import floor
+from types import NoneType
 
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
 from yieldmon import frames
+from yieldmon.arguments import require_type
 from yieldmon.frames import Frame
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.numerics import Array
@@ -114,6 +116,11 @@ class VirtualCombine:
     scenario : Scenario
     machine : Machine
 
+    Raises
+    ------
+    InputError
+        For an argument of another type.
+
     Notes
     -----
     Bus time starts at 0 and ends at the scenario's duration. `frames_until` and `samples_until` advance it (use one of them);
@@ -129,6 +136,8 @@ class VirtualCombine:
     def __init__(
         self, scenario: Scenario, machine: Machine | None = None, seed: int = 0, table: PulseTable | None = None
     ) -> None:
+        require_type("scenario", scenario, Scenario, "a Scenario, as `load_scenario` gives it")
+        require_type("machine", machine, (Machine, NoneType), "a Machine, or None")
         self.scenario = scenario
         self.machine = machine or Machine()
         seeds = np.random.SeedSequence(seed).spawn(8)

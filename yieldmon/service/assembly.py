@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from types import NoneType
+
 from yieldmon import utc
+from yieldmon.arguments import require_type
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
@@ -66,6 +69,11 @@ def build_monitor(
     -------
     Monitor
 
+    Raises
+    ------
+    InputError
+        For an argument of another type.
+
     Examples
     --------
     >>> loaded = api.load_configuration(api.shipped("config/yieldmon.yaml"))
@@ -73,6 +81,12 @@ def build_monitor(
     >>> monitor.totals.total_kg
     0.0
     """
+    require_type("settings", settings, EngineSettings, "`engine` of what `load_configuration` gives")
+    require_type("machine", machine, Machine, "a Machine")
+    require_type("parameters", parameters, ParameterSet, "a ParameterSet")
+    require_type(
+        "calibrator", calibrator, (CalibratorSettings, NoneType), "`calibrator` of what `load_configuration` gives, or None"
+    )
     estimator = estimator_of(machine, parameters)
     updatable = calibrator is not None and parameters.curve is None
     self_calibrator = (

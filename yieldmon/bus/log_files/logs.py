@@ -14,6 +14,7 @@ from pathlib import Path
 
 import can
 
+from yieldmon.arguments import require_path
 from yieldmon.bounded import is_pipe, require_file
 from yieldmon.bus.log_files import mf4
 from yieldmon.bus.log_files.binary_logs import BINARY_SUFFIXES, read_binary
@@ -77,6 +78,7 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     >>> hex(messages[0].arbitration_id)
     '0x18ff0117'
     """
+    require_path(path)
     path = Path(path)
     notes = notes if notes is not None else LogNotes()
     suffix, compressed = log_format(path)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.arguments import require_type
 from yieldmon.estimation.model_error import orthonormal
 from yieldmon.estimation.priors import Bounds, Prior, fitting_bounds, follows_scale, start_ranges
 from yieldmon.physics.grain import GRAIN
@@ -50,12 +51,19 @@ def conditions_told_apart(model: ForwardModel, data: Measurements) -> int:
     return int(cell.max()) + 1
 
 
-def _refuse(data: Measurements, start: Mapping[str, float], names: tuple[str, ...], bounds: Bounds, *, with_prior: bool) -> None:
+def _refuse(
+    model: ForwardModel,
+    data: Measurements,
+    start: Mapping[str, float],
+    names: tuple[str, ...],
+    bounds: Bounds,
+    *,
+    with_prior: bool,
+) -> None:
     """Raises ValueError for a calibration that has no answer."""
-    for name, given, kind in (("data", data, Measurements), ("start", start, Mapping)):
-        if not isinstance(given, kind):
-            wanted = "Measurements" if kind is Measurements else "values by name, such as the `values` of a ParameterSet"
-            raise ValueError(f"{name}: {type(given).__name__}: expected {wanted}")
+    require_type("model", model, ForwardModel, "a ForwardModel")
+    require_type("data", data, Measurements, "Measurements")
+    require_type("start", start, Mapping, "values by name, such as the `values` of a ParameterSet")
     if data.momentum.size < len(names) and not with_prior:
         raise ValueError(f"{data.momentum.size} rows cannot fix {len(names)} parameters ({', '.join(names)})")
     missing = [n for n in names if n not in start]
@@ -107,7 +115,7 @@ class CalibrationProblem:
         bounds: Bounds | None,
         robust: bool,
     ) -> None:
-        _refuse(data, start, names, bounds or {}, with_prior=prior is not None)
+        _refuse(model, data, start, names, bounds or {}, with_prior=prior is not None)
         self.model, self.data, self.names, self.robust = model, data, names, robust
         self.start, self._prior, self._bounds = dict(start), prior, bounds
         cells, self.cell = data.cells()

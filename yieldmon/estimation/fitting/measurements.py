@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from yieldmon.arguments import require_type
 from yieldmon.physics.model import Conditions, refuse_impossible
 from yieldmon.physics.numerics import Array
 
@@ -49,6 +50,7 @@ class Measurements:
     places: NDArray[np.intp] | None = None
 
     def __post_init__(self) -> None:
+        require_type("measurements: conditions", self.conditions, Conditions, "Conditions")
         object.__setattr__(self, "momentum", np.asarray(self.momentum, dtype=float))
         if self.sigma is not None:
             object.__setattr__(self, "sigma", np.asarray(self.sigma, dtype=float))

@@ -13,9 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import NoneType
 
 import numpy as np
 
+from yieldmon.arguments import all_of_type, require_type
 from yieldmon.estimation.admission import allowing_for
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings
 from yieldmon.estimation.fitting.identifiability import (
@@ -82,8 +84,8 @@ def self_calibrate(
     Raises
     ------
     ValueError
-        If there is no measurement, the prior has no covariance, no flow can explain a sweep, an angle or a speed is outside its
-        range (`Conditions`), or a weighed mass or the density is not usable.
+        If an argument is of another type, there is no measurement, the prior has no covariance, no flow can explain a sweep, an
+        angle or a speed is outside its range (`Conditions`), or a weighed mass or the density is not usable.
 
     References
     ----------
@@ -100,7 +102,13 @@ def self_calibrate(
     >>> round(found.flows[0].mass_flow_kg_s, 1)
     12.0
     """
-    masses = (*masses, *anchors)
+    require_type("model", model, ForwardModel, "a ForwardModel")
+    require_type("prior", prior, ParameterSet, "a ParameterSet")
+    sweeps = all_of_type("sweeps", sweeps, Sweep, "a list of Sweep, such as [sweep]")
+    masses = all_of_type("masses", masses, WeighedMass, "a list of WeighedMass, such as [mass]")
+    masses = (*masses, *all_of_type("anchors", anchors, WeighedMass, "a list of WeighedMass, such as [mass]"))
+    require_type("density", density, (MeasuredDensity, NoneType), "a MeasuredDensity, or None")
+    require_type("settings", settings, (ClosedLoopSettings, NoneType), "ClosedLoopSettings, or None")
     read = allowing_for(ClosedLoopSettings() if settings is None else settings, prior)
     found = fit_parameters(model, prior, sweeps, masses=masses, density=density, settings=read)
     if not masses and density is None and (ends := at_search_end(found.parameter_set.values, found.learned())):

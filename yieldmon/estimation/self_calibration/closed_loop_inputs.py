@@ -30,7 +30,7 @@ def _as_arrays(windows: Sweep | WeighedMass, names: tuple[str, ...]) -> None:
     """Lists of numbers become arrays."""
     for name in (*names, "moisture_pct"):
         value = getattr(windows, name)
-        if value is not None:
+        if value is not None or name != "moisture_pct":
             object.__setattr__(windows, name, np.asarray(value, dtype=float))
 
 
@@ -40,6 +40,8 @@ def _refuse_uneven(windows: Sweep | WeighedMass, what: str, names: tuple[str, ..
         value = getattr(windows, name)
         if value.shape != shape or len(shape) != 1 or not shape[0] or not np.all(np.isfinite(value)):
             raise ValueError(f"{what}: {name} must hold one finite number for each window")
+    if windows.moisture_pct is not None and windows.moisture_pct.shape != shape:
+        raise ValueError(f"{what}: moisture_pct must hold one number for each window")
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,18 @@ class WeighedMass:
         Returns
         -------
         WeighedMass
+
+        Raises
+        ------
+        ValueError
+            For shapes that differ, values that are not finite, and groups below 1.
         """
+        if groups < 1:
+            raise ValueError(f"weighed mass: groups {groups}: expected 1 or more")
+        each = cls(reference_kg, std_dev_kg, duration_s, force_n, plate_angle_rad, elevator_speed_rad_s, moisture_pct, common_kg)
+        _refuse_uneven(each, "weighed mass", WEIGHED_COLUMNS)
+        duration_s, force_n, plate_angle_rad, elevator_speed_rad_s = (getattr(each, name) for name in WEIGHED_COLUMNS)
+        moisture_pct = each.moisture_pct
         bins = np.round(plate_angle_rad / np.radians(2.0)).astype(int)
         parts = []
         for value in np.unique(bins):
@@ -219,7 +232,14 @@ class WeighedMass:
         Returns
         -------
         WeighedMass
+
+        Raises
+        ------
+        ValueError
+            For a mass flow that is not above 0, and as `ForwardModel.force`.
         """
+        if not mass_flow_kg_s > 0.0:
+            raise ValueError(f"weighed mass: mass_flow_kg_s {mass_flow_kg_s:g}: expected a flow above 0")
         conditions = Conditions(plate_angle_rad, elevator_speed_rad_s, mass_flow_kg_s=mass_flow_kg_s)
         force = np.atleast_1d(np.real(model.force(conditions, parameters.values)))
         return cls(
@@ -278,6 +298,14 @@ class MeasuredDensity:
         Returns
         -------
         MeasuredDensity
+
+        Raises
+        ------
+        ValueError
+            For a test weight or a ratio that is not above 0.
         """
+        for name, value in (("test_weight_kg_m3", test_weight_kg_m3), ("ratio", ratio)):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"density: {name} {value:g}: expected a number above 0")
         relative = np.hypot(std_dev_kg_m3 / test_weight_kg_m3, ratio_std_dev / ratio)
         return cls(ratio * test_weight_kg_m3, float(ratio * test_weight_kg_m3 * relative))

@@ -15,6 +15,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from yieldmon.arguments import require_path
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.errors import InputError
@@ -122,6 +123,7 @@ def load(path: Path | str, environment: Mapping[str, str] = os.environ) -> Confi
     >>> api.load_configuration(api.shipped("config/yieldmon.yaml")).document.store.path
     'yieldmon.sqlite'
     """
+    require_path(path)
     path = Path(path).absolute()
     text = strict_yaml.read(path)
     if not text.strip():

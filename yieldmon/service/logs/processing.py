@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from yieldmon.arguments import of_other_type, require_type
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_files.candump import channel_name
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
@@ -90,10 +91,9 @@ def process_logs(
 
     Raises
     ------
-    ValueError
-        For a single path instead of a sequence.
     InputError
-        For a log that cannot be read, and where all logs hold nothing that the engine could take, or nothing to weigh.
+        For an argument of another type, such as a single path instead of a sequence, for a log that cannot be read, and where
+        all logs hold nothing that the engine could take, or nothing to weigh.
 
     Examples
     --------
@@ -110,7 +110,13 @@ def process_logs(
     True
     """
     if isinstance(paths, str | Path):
-        raise ValueError(f"paths: {str(paths)!r}: expected a list of paths, such as [{str(paths)!r}]")
+        raise InputError("paths", f"is {str(paths)!r}", f"a list of paths, such as [{str(paths)!r}]")
+    if isinstance(channels, str):
+        raise InputError("channels", f"is {channels!r}", f"a list of names, such as [{channels!r}]")
+    require_type("monitor", monitor, Monitor, "a Monitor")
+    require_type("codec", codec, Codec, "a Codec")
+    if not callable(take_row):
+        raise of_other_type("take_row", take_row, "a function that takes a SecondRow")
     summary = Summary()
     mapping = default_map() if signals is None else signals
     bus = InputFrames(codec, mapping)

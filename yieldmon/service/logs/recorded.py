@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon import bounded, file_kinds
+from yieldmon.arguments import require_path
 from yieldmon.bus.log_files.sqlite_log import SUFFIX as LOG_SUFFIX
 from yieldmon.bus.log_files.sqlite_log import is_log
 from yieldmon.documents.tickets import ListedTicket
@@ -94,6 +95,7 @@ def read_seconds(path: Path | str) -> list[SecondRow]:
         ...
     yieldmon.errors.InputError: /no/such.csv: no such file; expected a store, or a table that `yieldmon process` wrote
     """
+    require_path(path)
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -141,6 +143,7 @@ def read_loads(path: Path | str) -> list[LoadRecord]:
         ...
     yieldmon.errors.InputError: /no/such.sqlite: no such file; expected a daemon's store
     """
+    require_path(path)
     if Path(path).suffix.lower() in SUFFIXES and not is_store(path):
         raise InputError(str(path), "is a table of seconds, which has no loads", "a daemon's store")
     with opened(Path(path)) as store:
