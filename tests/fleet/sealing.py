@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from yieldmon.files import digests
-from yieldmon.fleet.dataset import MARK
+from yieldmon.fleet.dataset_files import MARK
 
 
 def seal(day: Path, **changes: Any) -> None:

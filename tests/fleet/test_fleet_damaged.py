@@ -17,7 +17,8 @@ from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import worker
 from yieldmon.fleet.comparison import compare
-from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.summary import summarise
 from yieldmon.fleet.tables import RECORDS, TABLES
 from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, work

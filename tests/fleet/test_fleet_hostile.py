@@ -12,7 +12,8 @@ import pytest
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
-from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.manifest import load
 from yieldmon.fleet.querying import opened
 from yieldmon.fleet.summary import summarise

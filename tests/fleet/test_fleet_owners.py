@@ -20,7 +20,8 @@ from tests.fleet import logs
 from tests.schema_check import problems
 from yieldmon.cli.main import main
 from yieldmon.fleet.copies import with_copies
-from yieldmon.fleet.dataset import MARK, Dataset
+from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.manifest import load
 
 ROOT = Path(__file__).parents[2]

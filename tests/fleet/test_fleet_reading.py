@@ -23,7 +23,7 @@ from yieldmon.cli.main import main
 from yieldmon.files.parameter_file import load as load_parameters
 from yieldmon.files.parameter_file import save as save_parameters
 from yieldmon.fleet.comparison import compare
-from yieldmon.fleet.dataset import MARK
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.html import page
 from yieldmon.fleet.prior import crop_prior
 from yieldmon.fleet.summary import summarise

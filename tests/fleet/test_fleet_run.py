@@ -23,7 +23,8 @@ from tests.fleet.runs import LOADED, tasks
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.fleet import manifest
-from yieldmon.fleet.dataset import MARK, Dataset, Superseded
+from yieldmon.fleet.dataset import Dataset, Superseded
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.identity import parameters_sha256, software
 from yieldmon.fleet.worker import DONE, LEFT, SKIPPED, Outcome, Task, work
 

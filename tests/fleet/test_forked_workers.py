@@ -16,7 +16,7 @@ import pytest
 
 from tests.fleet.logs import dataset_files, tree
 from tests.fleet.runs import tasks
-from yieldmon.fleet.dataset import MARK
+from yieldmon.fleet.dataset_files import MARK
 from yieldmon.fleet.worker import work
 
 PATIENCE_S = 60.0

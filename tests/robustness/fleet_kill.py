@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tests.fleet import logs
 from tests.fleet.logs import dataset_files
-from yieldmon.fleet.dataset import MARK
+from yieldmon.fleet.dataset_files import MARK
 
 _WORKERS = 2
 _QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from yieldmon.documents.fleet import Cause, ColumnDifference, DayDifference, FleetCompareDocument
 from yieldmon.fleet import tables
-from yieldmon.fleet.dataset import Commit
+from yieldmon.fleet.marks import Commit
 from yieldmon.fleet.querying import Query, opened
 
 _SUMS = "SELECT count(*) AS seconds, coalesce(sum(mass_kg), 0.0) AS mass_kg FROM {}"

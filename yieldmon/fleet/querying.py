@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.fleet import tables
-from yieldmon.fleet.dataset import Commit, Dataset
+from yieldmon.fleet.dataset import Dataset
+from yieldmon.fleet.marks import Commit
 
 _TRACE = "Traceback (most recent call last)"
 
