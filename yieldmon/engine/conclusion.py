@@ -29,6 +29,7 @@ from yieldmon.engine.self_calibration.scale_alarm import ScaleCheck
 from yieldmon.engine.sweeps.sweep_inputs import SweepWindow, support_start_s
 from yieldmon.engine.waveform.deferred_waveform import DeferredWaveform
 from yieldmon.engine.waveform.waveform_reading import NOTHING
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.self_calibration.angle_error import AngleError
 from yieldmon.frames import OperatingState
 
@@ -220,7 +221,7 @@ class Conclusion:
                 restated = (*restated, *loads.scale_is_off(relative, by_load))
             else:
                 loads.widen(relative * loads.totals.load_kg, by_load)
-        if weighed := [change for change in changes if change.origin == "ticket"]:
+        if weighed := [change for change in changes if change.origin == ParameterOrigin.TICKET]:
             loads.scale_is_set([number for change in weighed for number, _ in change.references])
         return restated
 

@@ -23,6 +23,7 @@ from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
 from yieldmon.errors import InputError, of_the_computer
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import machine_file, parameter_file, ticket_file
 from yieldmon.files.crops import shipped_name
@@ -215,7 +216,7 @@ def measure(
     covered, unmatched = _ticket_rows(rows, tickets, list(names.values()), taken.rows, partition)
     tables.write(tables.LOADS, [*_load_rows(monitor), *rows, *covered], folder / "loads.parquet")
     start_s = taken.rows[0][0] if taken.rows else float("nan")
-    first = _parameter_rows(configured.parameters, start_s, tables.FILE, "as configured")
+    first = _parameter_rows(configured.parameters, start_s, ParameterOrigin.FILE, "as configured")
     tables.write(tables.PARAMETERS, [*first, *taken.parameters], folder / "parameters.parquet")
     tables.write(tables.SWEEPS, taken.sweeps, folder / "sweeps.parquet")
     tables.write(tables.FAULTS, taken.faults, folder / "faults.parquet")
@@ -406,7 +407,7 @@ def _covered(ticket: WeighedTicket, given: Sequence[str]) -> Sequence[str]:
     return found if len(found) == 1 else ()
 
 
-def _parameter_rows(known: ParameterSet, time_s: float, origin: str, reason: str) -> list[dict[str, Any]]:
+def _parameter_rows(known: ParameterSet, time_s: float, origin: ParameterOrigin, reason: str) -> list[dict[str, Any]]:
     return [
         {
             "time_s": finite(time_s), "version": known.version, "origin": origin, "reason": reason, "name": name,

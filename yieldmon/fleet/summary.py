@@ -21,6 +21,7 @@ from yieldmon.documents.fleet import (
 )
 from yieldmon.engine.faults import FaultCode
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.weighing.unlike_others import LEAST_OFF_OF_MACHINES, unlike_the_others
 from yieldmon.fleet import tables
 from yieldmon.fleet.names import LATEST_DATE_S, in_order, off_by_days
@@ -56,7 +57,8 @@ _SWEEPS = "SELECT machine, state, count(*) AS count FROM sweeps GROUP BY ALL ORD
 _PARAMETERS = f"""
 SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS value,
   arg_max(std_dev, (coalesce(time_s, 0), version)) AS std_dev,
-  any_value(value) FILTER (WHERE origin = '{tables.FILE}') AS configured FROM parameters GROUP BY ALL ORDER BY machine, name, day
+  any_value(value) FILTER (WHERE origin = '{ParameterOrigin.FILE}') AS configured
+FROM parameters GROUP BY ALL ORDER BY machine, name, day
 """
 _LOG_MASSES = f"SELECT machine, day, name, measured_kg FROM loads WHERE kind = '{tables.LOG}'"
 _TICKETS = """

@@ -21,8 +21,6 @@ TABLES = (RECORDS, LOADS, SWEEPS, FAULTS, PARAMETERS, PROVENANCE)
 
 LOG, TICKET, LOAD = "log", "ticket", "load"
 """Kinds of rows in the table of loads: what a log holds, what a ticket covers, what the engine counted as one load."""
-FILE = "file"
-"""Origin of the parameters that a day begins with."""
 
 _COLUMNS: Mapping[str, Mapping[str, str]] = {
     LOADS: {

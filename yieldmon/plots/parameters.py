@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.effects import effect_parameter
 
@@ -14,6 +15,18 @@ from .canvas import MODEL, band, legend_above, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_MARKERS = {
+    ParameterOrigin.FILE: "s",
+    ParameterOrigin.HARDWARE: "P",
+    ParameterOrigin.CROP: "v",
+    ParameterOrigin.SWEEP: "o",
+    ParameterOrigin.TICKET: "^",
+    ParameterOrigin.KERNELS: "D",
+    ParameterOrigin.DRIFT: ".",
+    ParameterOrigin.UNDO: "x",
+}
+"""Of each change, by what brought it."""
 
 
 def unit_of(name: str) -> str:
@@ -41,7 +54,7 @@ def draw(time_s: Sequence[float], sets: Sequence[ParameterSet], origins: Sequenc
         values, spreads = held
         band(axes, shown, values, spreads, color=MODEL, step="post", label="90 % interval")
         axes.step(shown, values, where="post", color=MODEL, lw=1.2)
-        for origin, marker in (("file", "s"), ("sweep", "o"), ("ticket", "^"), ("kernels", "D"), ("drift", ".")):
+        for origin, marker in _MARKERS.items():
             chosen = np.array([one == origin for one in origins])
             if chosen.any():
                 axes.plot(hours[chosen], value[chosen], marker, color=MODEL, ms=4, label=f"from {origin}")

@@ -10,6 +10,7 @@ from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, records_in
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.files.crops import shipped_name
 from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.config.configuration import Configuration
@@ -19,7 +20,6 @@ from yieldmon.service.history.resumption import resume, successor
 from yieldmon.service.operator import commands
 from yieldmon.service.operator.command_queue import Job
 from yieldmon.service.operator.control_protocol import Answer
-from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Batch
 from yieldmon.service.storage.rows import SecondRow
 
@@ -79,7 +79,7 @@ class Measuring:
         fresh = self.journal.parameters.take_fresh()
         if fresh is not None:
             self._replace(successor(self.monitor, self._configuration, fresh, time.time(), loads=self.journal.loads))
-            self.journal.new_monitor(fresh, ledger.HARDWARE)
+            self.journal.new_monitor(fresh, ParameterOrigin.HARDWARE)
         return answer
 
     def reset_totals(self) -> None:
@@ -98,7 +98,7 @@ class Measuring:
         self._replace(successor(self.monitor, configuration, fresh, time.time(), loads=self.journal.loads))
         # The next batch brings both: the file's name alone would make a start take the parameters before it for the file's.
         self.journal.parameters.configure(configuration.parameters)
-        self.journal.new_monitor(self.monitor.estimator.parameters, "file")
+        self.journal.new_monitor(self.monitor.estimator.parameters, ParameterOrigin.FILE)
 
     @property
     def of_another_crop(self) -> tuple[str, ...]:

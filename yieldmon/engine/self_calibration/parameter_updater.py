@@ -22,6 +22,7 @@ from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.sweeps.sweep_inputs import SweepAbort
 from yieldmon.engine.sweeps.sweep_windows import SweepWindows
 from yieldmon.estimation.admission import sweep_refusal
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.common_bias import KernelMeasurement
@@ -33,13 +34,13 @@ from yieldmon.physics.machine import Machine
 class ParametersChanged:
     """Other parameters are in use from now on.
 
-    origin: "sweep", "ticket" (a reference mass alone), "kernels" or "drift". reason: one sentence. step: see
-    `CalibrationOutcome`. moisture_pct: of the grain for which they hold, nan where not known; None: as measured now. references:
-    (load number, weighed mass in kg) of the tickets used.
+    origin: SWEEP, TICKET, KERNELS or DRIFT. reason: one sentence. step: see `CalibrationOutcome`. moisture_pct: of the grain for
+    which they hold, nan where not known; None: as measured now. references: (load number, weighed mass in kg) of the tickets
+    used.
     """
 
     parameters: ParameterSet
-    origin: str
+    origin: ParameterOrigin
     reason: str
     step: CalibrationStep | None = None
     moisture_pct: float | None = None
@@ -279,7 +280,7 @@ class ParameterUpdater:
         outcome = self.calibrator.update_from_kernels(record, measurement, self.estimator)
         # Kernel noise does not change whether the last sweep determined the parameters.
         known = self.outcome is None or self.outcome.identifiable
-        return self._take(replace(outcome, identifiable=known), "kernels")
+        return self._take(replace(outcome, identifiable=known), ParameterOrigin.KERNELS)
 
     def _update_from_masses(self, record: WindowRecord) -> tuple[ParametersChanged, ...]:
         """Update from reference masses that came since the last update; of several tickets one with each window, in the order of
@@ -303,15 +304,15 @@ class ParameterUpdater:
             self.drift_sd = self.calibrator.drift_std_dev(record, self.estimator)
             return ()
         self._put(outcome.estimator, self.calibration_age_s, weighed=self._weighed)
-        return (ParametersChanged(outcome.estimator.parameters, "drift", outcome.reason, outcome.step, nan),)
+        return (ParametersChanged(outcome.estimator.parameters, ParameterOrigin.DRIFT, outcome.reason, outcome.step, nan),)
 
-    def _take(self, outcome: CalibrationOutcome, by: str = "") -> tuple[ParametersChanged, ...]:
+    def _take(self, outcome: CalibrationOutcome, by: ParameterOrigin | None = None) -> tuple[ParametersChanged, ...]:
         self.outcome = outcome
         self.scale_alarm.see(outcome.checks)
         if outcome.estimator is None:
             return ()
         self._put(outcome.estimator, 0.0, weighed=outcome.weighed or self._weighed)
-        origin = by or ("ticket" if outcome.weighed else "sweep")
+        origin = by or (ParameterOrigin.TICKET if outcome.weighed else ParameterOrigin.SWEEP)
         # A sweep leaves the scale as it was; a weighed mass's scale is that of its own grain.
         moisture_pct = None if outcome.moved_by_moisture or by else self._weighed_moisture_pct() if outcome.weighed else nan
         return (ParametersChanged(outcome.estimator.parameters, origin, outcome.reason, outcome.step, moisture_pct),)

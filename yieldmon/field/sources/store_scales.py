@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.files import parameter_file
 from yieldmon.service.storage.batch import ParameterVersion
 from yieldmon.service.storage.rows import SecondRow
 
-_SWEEP = "sweep"
-"""Origin of parameters that a sweep has updated."""
 _LEAST_SHARE = 0.02
 """Of a load's mass, with another scale than the rest."""
 
@@ -49,6 +48,6 @@ def _version_scales(versions: Iterable[ParameterVersion], where: str) -> Mapping
     before: int | None = None
     for version in versions:
         values = frozenset(parameter_file.from_document(version.document, where).values.items())
-        kept = before if version.origin == _SWEEP else None
+        kept = before if version.origin == ParameterOrigin.SWEEP else None
         before = scales[version.version] = of_values.setdefault(values, version.version if kept is None else kept)
     return scales

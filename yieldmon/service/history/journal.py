@@ -16,6 +16,7 @@ from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Event, Result, WindowResult
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.sweeps.plate import SweepEnded
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.history.load_book import LoadBook
 from yieldmon.service.history.memory import Memory
@@ -97,7 +98,7 @@ class Journal:
         for part in (self.actions, self.parameters, self.loads):
             part.report_all()
 
-    def new_monitor(self, parameters: ParameterSet, origin: str) -> None:
+    def new_monitor(self, parameters: ParameterSet, origin: ParameterOrigin) -> None:
         """A monitor begins, or begins anew after a reload, with these parameters; origin: where they come from."""
         self._faults_known = False
         if parameters.version != self.parameters.version or not self.parameters.version:

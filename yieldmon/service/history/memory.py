@@ -11,6 +11,7 @@ from yieldmon.engine.mass.missed_mass import NO_LOAD
 from yieldmon.engine.sampling.since_zero import KEPT_S, KeptSecond
 from yieldmon.engine.state import EngineState
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import SCALE, ParameterSet
 from yieldmon.files import calibrated_machine, parameter_file
 from yieldmon.physics.machine import Machine
@@ -37,7 +38,7 @@ class Memory:
     engine: EngineState | None = None
     saved_s: float = 0.0
     parameters: ParameterSet | None = None
-    parameter_origin: str = "file"
+    parameter_origin: str = ParameterOrigin.FILE
     parameter_digest: str = ""
     last_batch: int = 0
     last_second: int = 0
@@ -161,7 +162,7 @@ def _ticketed(store: Store, engine: EngineState) -> tuple[StoredLoad, ...]:
         return ()
 
 
-def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, str]:
+def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[ParameterSet, ParameterOrigin]:
     """The parameters to run with, and where they come from.
 
     Updates since go on for as long as the configured file is the one it began with; another file wins.
@@ -170,10 +171,10 @@ def choose_parameters(memory: Memory, configured: ParameterSet) -> tuple[Paramet
         known = memory.parameters
         # Stores before 0.2.0 do not say so.
         unmarked = configured.scale_error > 0.0 and SCALE not in known.provenance and not memory.tickets
-        return parameter_file.not_calibrated(known) if unmarked else known, "store"
+        return parameter_file.not_calibrated(known) if unmarked else known, ParameterOrigin.STORE
     if memory.last_version:
-        return replace(configured, version=memory.last_version + 1), "file"
-    return configured, "file"
+        return replace(configured, version=memory.last_version + 1), ParameterOrigin.FILE
+    return configured, ParameterOrigin.FILE
 
 
 def by_crop(versions: Iterable[tuple[ParameterSet, str]]) -> dict[str, ParameterSet]:
@@ -181,7 +182,7 @@ def by_crop(versions: Iterable[tuple[ParameterSet, str]]) -> dict[str, Parameter
     in order."""
     found: dict[str, ParameterSet] = {}
     for parameters, origin in versions:
-        if origin == ledgers.HARDWARE:
+        if origin == ParameterOrigin.HARDWARE:
             found.clear()
         if "crop" in parameters.provenance:
             found[parameters.provenance["crop"]] = parameters

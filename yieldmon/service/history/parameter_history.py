@@ -8,6 +8,7 @@ from dataclasses import replace
 from yieldmon.documents.calibrations import CalibrationRow
 from yieldmon.engine.self_calibration.calibrator import CalibrationStep
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import BY_KERNELS, NOT_CALIBRATED, SCALE, WEIGHED, ParameterSet
 from yieldmon.estimation.weighing.other_crop import carried
 from yieldmon.files import parameter_file
@@ -70,15 +71,15 @@ class ParameterHistory:
         known = self.of(crop, in_use, named)
         kept = replace(in_use, version=self.version + 1, provenance={**in_use.provenance, "crop": before})
         self._of_crop[before] = kept
-        self.use(kept, ledgers.CROP, who=who, reason=f"what is known of {before} is kept", last_load=last_load)
+        self.use(kept, ParameterOrigin.CROP, who=who, reason=f"what is known of {before} is kept", last_load=last_load)
         if known is None:
             # The scale was weighed with grain of the crop before.
             facts = {**in_use.provenance, SCALE: NOT_CALIBRATED, "crop": crop}
             chosen = replace(in_use, version=self.version + 1, provenance=facts)
-            self.use(chosen, ledgers.CROP, who=who, reason=f"{crop} begins with what is known of {before}")
+            self.use(chosen, ParameterOrigin.CROP, who=who, reason=f"{crop} begins with what is known of {before}")
             return chosen
         chosen, left = replace(known, version=self.version + 1), self._of_crop.get(crop)
-        self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, crop))
+        self.use(chosen, ParameterOrigin.CROP, who=who, reason=_source_in_words(chosen, crop))
         if left is not None and left.values != chosen.values:
             # Its loads until now had another scale.
             self._actions.remeasuring.bring_back(chosen.version)
@@ -140,7 +141,7 @@ class ParameterHistory:
             known = replace(shipped, values={**shipped.values, **_machine_values(in_use)})
         facts = {**known.provenance, SCALE: NOT_CALIBRATED} | ({"crop": crop} if crop else {})
         chosen = replace(known, version=self.version + 1, provenance=facts)
-        self.use(chosen, ledgers.HARDWARE, who=who, reason=reason)
+        self.use(chosen, ParameterOrigin.HARDWARE, who=who, reason=reason)
         self._of_crop = {}
         self._fresh = chosen
         return chosen
@@ -206,7 +207,7 @@ class ParameterHistory:
         document = {"version": version, "versions": followed} | ({"tickets": list(silenced)} if silenced else {})
         document |= {"replaced": replaced} if replaced else {}
         self._actions.add(ledgers.PARAMETERS_UNDO, who, document, now_s)
-        if changes[version].document.get("origin") == ledgers.HARDWARE:
+        if changes[version].document.get("origin") == ParameterOrigin.HARDWARE:
             undone = self._actions.history.undone_versions
             self._of_crop = by_crop(
                 (self._versions[v], str(changes[v].document.get("origin")))
@@ -215,17 +216,17 @@ class ParameterHistory:
             )
         earlier = replace(self._versions[before], version=self.version + 1)
         if of_now:
-            self.use(earlier, ledgers.UNDO, who=who, reason=f"version {version} undone: as version {before}")
+            self.use(earlier, ParameterOrigin.UNDO, who=who, reason=f"version {version} undone: as version {before}")
             self._actions.remeasuring.bring_back(earlier.version)
             return earlier, ""
         kept = self._of_crop[crop] = replace(earlier, provenance={**earlier.provenance, "crop": crop})
-        self.use(kept, ledgers.UNDO, who=who, reason=f"version {version} of {crop} undone: as version {before}")
+        self.use(kept, ParameterOrigin.UNDO, who=who, reason=f"version {version} of {crop} undone: as version {before}")
         self._actions.remeasuring.bring_back(kept.version)
         # What is in use may have the scale of the version that is undone.
         anew = in_use.carried_from == crop and _only_begun(in_use, now)
         left = self._begun(now, (), _machine_values(in_use)) if anew else in_use
         chosen = replace(left, version=self.version + 1, provenance={**left.provenance, "crop": now})
-        self.use(chosen, ledgers.CROP, who=who, reason=_source_in_words(chosen, now))
+        self.use(chosen, ParameterOrigin.CROP, who=who, reason=_source_in_words(chosen, now))
         if anew:
             self._actions.remeasuring.bring_back(chosen.version)
         return chosen, crop
@@ -238,7 +239,7 @@ class ParameterHistory:
             raise InputError(where, "no such calibration", "a version that `yieldmon calibrations list` shows")
         if version in history.undone_versions:
             raise InputError(where, "is undone already", "one that is not undone")
-        if change.document.get("origin") == ledgers.CROP:
+        if change.document.get("origin") == ParameterOrigin.CROP:
             raise InputError(where, "is a change of crop", "a calibration, or `yieldmon load start --crop NAME`")
         gone = history.updates_gone_with(version)
         if gone:
@@ -263,12 +264,12 @@ class ParameterHistory:
     def _followed(self, version: int, crops: Sequence[str]) -> list[int]:
         """A version and those after it, of these crops where it is of one; of every crop after a change of the machine."""
         changes = self._actions.history.updates
-        if changes[version].document.get("origin") == ledgers.HARDWARE:
+        if changes[version].document.get("origin") == ParameterOrigin.HARDWARE:
             return [later for later in sorted(changes) if later >= version]
         return [
             later
             for later in sorted(changes)
-            if later >= version and (later == version or changes[later].document.get("origin") != ledgers.CROP)
+            if later >= version and (later == version or changes[later].document.get("origin") != ParameterOrigin.CROP)
             and (not self._crop_at(version) or self._crop_at(later) in crops)
         ]  # fmt: skip
 
@@ -295,7 +296,7 @@ class ParameterHistory:
         parameters : ParameterSet
             With their new version.
         origin : str
-            Where they come from, as `ledger` names it.
+            A `ParameterOrigin`.
         who : str
             The user who asked; "" for the monitor itself.
         reason : str

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.service.history.reference_loads import reference
 from yieldmon.service.history.request_context import RequestContext
-from yieldmon.service.storage import ledger
 from yieldmon.service.storage.batch import Load
 
 _LARGEST_ZERO_SHARE = 0.1
@@ -59,7 +59,7 @@ def _not_measured_whole(covered: Sequence[Load], context: RequestContext) -> str
         found = reference(load, monitor.machine, monitor.settings)
         if min(found.versions, default=0) < history.calibrated_version:
             begun = history.updates[history.calibrated_version].document.get("origin")
-            changed = "the machine was changed" if begun == ledger.HARDWARE else "the parameter file in use"
+            changed = "the machine was changed" if begun == ParameterOrigin.HARDWARE else "the parameter file in use"
             return f"load {number} was measured before {changed}"
         monitor.know_load(found.summary, found.seconds)
         whole[number] = found.summary.complete

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.physics.machine import Machine
 from yieldmon.service.history.load_factor import load_factor
@@ -23,7 +24,7 @@ from yieldmon.service.history.parameter_timeline import Timeline, timeline
 from yieldmon.service.logs.measured_loads import MeasuredLoad, measured_loads, rows_in_loads
 from yieldmon.service.logs.recorded import opened, parameter_sets
 from yieldmon.service.storage.batch import Action
-from yieldmon.service.storage.ledger import HARDWARE, PARAMETERS, recropped, undone_versions
+from yieldmon.service.storage.ledger import PARAMETERS, recropped, undone_versions
 from yieldmon.service.storage.load_spread import ParameterSpread
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -161,7 +162,11 @@ def _begun_with(known: Timeline, sets: Mapping[int, ParameterSet], actions: Iter
     """Versions with which the timeline's crop began on this machine as it is, where the scale was another crop's: it may have
     changed before the crop was weighed."""
     crop = known.parameters.provenance.get("crop")
-    changed = (int(a.document["version"]) for a in actions if a.kind == PARAMETERS and a.document.get("origin") == HARDWARE)
+    changed = (
+        int(a.document["version"])
+        for a in actions
+        if a.kind == PARAMETERS and a.document.get("origin") == ParameterOrigin.HARDWARE
+    )
     first = max((version for version in changed if version <= known.parameters.version), default=0)
     begun = {
         version: of

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.service.assembly import calibration_age_s, monitor_of
 from yieldmon.service.config.configuration import Configuration
@@ -17,27 +18,27 @@ from yieldmon.service.storage.batch import Load
 from yieldmon.utc import EARLIEST_BUS_TIME_S
 
 
-def resume(monitor: Monitor, memory: Memory, origin: str, configured: ParameterSet, now_s: float) -> None:
+def resume(monitor: Monitor, memory: Memory, origin: ParameterOrigin, configured: ParameterSet, now_s: float) -> None:
     """Let a new monitor go on from what the store remembers.
 
-    origin: where its parameters come from, "file" or "store". configured: the parameters as their file has them. now_s: Unix
+    origin: of its parameters, FILE or STORE. configured: the parameters as their file has them. now_s: Unix
     time.
     """
     if memory.engine is None:
         monitor.set_estimator(monitor.estimator, calibration_age_s(configured, now_s))
         return
     age_s = memory.engine.calibration_age_s
-    if origin == "file":
+    if origin is ParameterOrigin.FILE:
         age_s = calibration_age_s(configured, now_s)
     elif age_s is not None and memory.saved_s >= EARLIEST_BUS_TIME_S:
         # How long the computer was off is not known where its clock was not set.
         age_s += max(0.0, now_s - memory.saved_s)
     monitor.restore(replace(memory.engine, calibration_age_s=age_s))
-    if origin == "file":
+    if origin is ParameterOrigin.FILE:
         since_kg = grain_since_kg(configured, memory.loads, memory.engine.totals, now_s)
         monitor.set_estimator(monitor.estimator, age_s, since_kg)
     monitor.remember_since_zero(memory.since_zero)
-    for stored in memory.ticketed if origin == "store" else ():
+    for stored in memory.ticketed if origin is ParameterOrigin.STORE else ():
         found = reference(stored, monitor.machine, monitor.settings)
         monitor.know_load(found.summary, found.seconds)
     monitor.remember_tickets(memory.engine.tickets)

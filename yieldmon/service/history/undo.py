@@ -10,13 +10,15 @@ from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.self_calibration.reference_mass import Weighing
 from yieldmon.errors import InputError
 from yieldmon.estimation.estimators import estimator_of
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.service.assembly import calibration_age_s
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.history.reference_tickets import why_no_reference
 from yieldmon.service.history.request_context import RequestContext
+from yieldmon.service.storage.batch import Ticket
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
-_NOT_WEIGHED = frozenset({"sweep", "kernels"})
+_NOT_WEIGHED = frozenset({ParameterOrigin.SWEEP, ParameterOrigin.KERNELS})
 """Origins of parameters that nothing updates again."""
 
 
@@ -130,32 +132,14 @@ def without_replaced(numbers: Sequence[int], context: RequestContext) -> list[Ti
 
 def _without(number: int, context: RequestContext, *, stands: Sequence[int], replaced: int = 0) -> TicketUndone:
     """stands: tickets that are not taken back but no longer update the parameters. replaced: see `ParameterHistory.undo`."""
-    monitor, journal, actions = context.monitor, context.journal, context.journal.actions
-    before = actions.history
-    ticket = before.standing_ticket(number)
-    loads = ticket.loads
-    again, of_file_before = tuple[int, ...](), tuple[int, ...]()
-    if number not in stands:
-        again, of_file_before = before.stand_again_without(number)
-    # One for loads of two crops has updated none itself.
-    crop = _crop_of(journal, again[0] if again else number)
-    of_others = [n for n in again if _crop_of(journal, n) != crop]
-    again = tuple(n for n in again if n not in of_others)
-
-    def counts(ticket: int) -> bool:
-        return _crop_of(journal, ticket) == crop and ticket not in stands
-
-    has_counted = any(load in monitor.counted_loads for load in loads)
-    rest = [before.first_update(number, counts if has_counted else None), *(before.first_update(n, counts) for n in again)]
-    first = min((version for version in rest if version is not None), default=None)
-    answer: TicketUndone = {"ticket": number, "first_load": ticket.first_load, "last_load": ticket.last_load}
-    gone = [before.update_before_file(number), *(before.update_without_replaced(n) for n in of_file_before)]
-    if any(gone):
-        journal.parameters.withdraw(min(version for version in gone if version), context.who, context.now_s, replaced)
+    journal, actions = context.journal, context.journal.actions
+    removal = _removal(number, context, stands)
+    answer: TicketUndone = {"ticket": number, "first_load": removal.ticket.first_load, "last_load": removal.ticket.last_load}
+    _withdraw(removal, context, replaced)
     undone_before, back = actions.history.undone_versions, None
-    if first is not None:
+    if removal.first_update is not None:
         try:
-            back = _back_before(first, context, replaced=replaced)
+            back = _back_before(removal.first_update, context, replaced=replaced)
         except InputError as error:
             # Its correction of the mass is taken back nevertheless.
             answer["update_kept_because"] = str(error)
@@ -163,17 +147,17 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
         actions.wait_no_more([number])
     else:
         actions.undo_ticket(number, context.who, context.now_s)
-        for older in of_file_before:
+        for older in removal.of_file_before:
             actions.remeasure_again(older)
     after = actions.history
     undone = after.undone_versions - undone_before
     # Those that it replaced update again, each before the tickets after it.
-    later = filter(counts, after.without_update_after(min((number, *again))))
+    later = filter(removal.counts, after.without_update_after(min((number, *removal.again))))
     led = {*after.standing_of(undone)}.difference(stands)
-    numbers, stay = _updating({*led, *later}, loads, counts, after)
-    other = _if_other(crop, monitor, journal) if back is None else back.crop
-    updating = _update_again(numbers, loads, other, context, goes_back=back is not None, stay=stay)
-    for ticket_of_other in of_others:
+    numbers, stay = _updating({*led, *later}, removal.ticket.loads, removal.counts, after)
+    other = _if_other(removal.crop, context.monitor, journal) if back is None else back.crop
+    updating = _update_again(numbers, removal.ticket.loads, other, context, goes_back=back is not None, stay=stay)
+    for ticket_of_other in removal.again_of_others:
         update_crop([ticket_of_other], _crop_of(journal, ticket_of_other), context)
     if back is not None or updating.again:
         answer["updated_again"] = list(updating.again)
@@ -190,6 +174,65 @@ def _without(number: int, context: RequestContext, *, stands: Sequence[int], rep
             "sweeps_undone": _not_weighed(undone, after),
         }
     return answer
+
+
+@dataclass(frozen=True, slots=True)
+class _Removal:
+    """What goes with a ticket that is taken back.
+
+    Parameters
+    ----------
+    number : int
+    ticket : Ticket
+    crop : str
+        Of the ticket's first load.
+    again, again_of_others : tuple of int
+        Tickets that it replaced and that stand again, of its crop and of others.
+    of_file_before : tuple of int
+        Tickets that it replaced before a parameter file came.
+    first_update : int or None
+        First version that goes with it; None where it has updated nothing.
+    counts : callable
+        Whether a ticket updates the same parameters, by its number.
+    """
+
+    number: int
+    ticket: Ticket
+    crop: str
+    again: tuple[int, ...]
+    again_of_others: tuple[int, ...]
+    of_file_before: tuple[int, ...]
+    first_update: int | None
+    counts: Callable[[int], bool]
+
+
+def _removal(number: int, context: RequestContext, stands: Sequence[int]) -> _Removal:
+    """What goes with a ticket, before anything is changed. stands: as of `_without`. Raises InputError where it does not
+    stand."""
+    journal, history = context.journal, context.journal.actions.history
+    ticket = history.standing_ticket(number)
+    again, of_file_before = ((), ()) if number in stands else history.stand_again_without(number)
+    # One for loads of two crops has updated none itself.
+    crop = _crop_of(journal, again[0] if again else number)
+    of_others = tuple(n for n in again if _crop_of(journal, n) != crop)
+    again = tuple(n for n in again if n not in of_others)
+
+    def counts(other: int) -> bool:
+        return _crop_of(journal, other) == crop and other not in stands
+
+    has_counted = any(load in context.monitor.counted_loads for load in ticket.loads)
+    updates = [history.first_update(number, counts if has_counted else None), *(history.first_update(n, counts) for n in again)]
+    first = min((version for version in updates if version is not None), default=None)
+    return _Removal(number, ticket, crop, again, of_others, of_file_before, first, counts)
+
+
+def _withdraw(removal: _Removal, context: RequestContext, replaced: int) -> None:
+    """Withdraw the updates that a parameter file has replaced since. replaced: see `ParameterHistory.undo`."""
+    history, parameters = context.journal.actions.history, context.journal.parameters
+    gone = [history.update_before_file(removal.number), *(history.update_without_replaced(n) for n in removal.of_file_before)]
+    versions = [version for version in gone if version]
+    if versions:
+        parameters.withdraw(min(versions), context.who, context.now_s, replaced)
 
 
 def _not_weighed(versions: Iterable[int], history: TicketHistory) -> int:

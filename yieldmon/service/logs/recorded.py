@@ -19,6 +19,7 @@ from yieldmon.bus.log_files.sqlite_log import SUFFIX as LOG_SUFFIX
 from yieldmon.bus.log_files.sqlite_log import is_log
 from yieldmon.documents.tickets import ListedTicket
 from yieldmon.errors import InputError, brief
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.files import parameter_file
 from yieldmon.service.storage import ledger
@@ -178,7 +179,7 @@ def ticket_table(store: Store) -> list[ListedTicket]:
 def changed_at(store: Store) -> int:
     """Version of the parameters with which calibration began anew after the last change of the machine's parts; 0 for none."""
     undone = ledger.undone_versions(store.actions())
-    begun = (v.version for v in store.parameter_versions() if v.origin == ledger.HARDWARE and v.version not in undone)
+    begun = (v.version for v in store.parameter_versions() if v.origin == ParameterOrigin.HARDWARE and v.version not in undone)
     return max(begun, default=0)
 
 

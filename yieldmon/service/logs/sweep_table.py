@@ -24,6 +24,7 @@ from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import cluster, meant_conditions
 from yieldmon.estimation.fitting.scatter_law import scatter_law
 from yieldmon.estimation.open_loop import OpenLoop
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.estimation.parameters import ParameterSet
 from yieldmon.estimation.self_calibration.home_flow import AwayVisits, covariance, wander_per_s
 from yieldmon.estimation.self_calibration.sweep_flow import SweepWindows, WindowFlows, window_flows
@@ -34,7 +35,6 @@ from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions, ForwardModel
 from yieldmon.physics.numerics import Array
 from yieldmon.service.logs.recorded import changed_at, opened
-from yieldmon.service.storage import ledger
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import counted
 
@@ -86,7 +86,7 @@ def given_parameters(path: Path | str) -> ParameterSet:
     Raises InputError when the store holds none.
     """
     with opened(Path(path)) as store:
-        given = [v.document for v in store.parameter_versions() if v.origin in (ledger.FILE, ledger.HARDWARE)]
+        given = [v.document for v in store.parameter_versions() if v.origin in (ParameterOrigin.FILE, ParameterOrigin.HARDWARE)]
     if not given:
         raise InputError(str(path), "holds no parameters that came from a file", "such parameters, or --params P.yaml")
     return parameter_file.from_document(given[-1], str(path))

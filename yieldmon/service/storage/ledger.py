@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from yieldmon.documents.calibrations import CalibrationRow, CalibrationState
 from yieldmon.documents.loads import ListedLoad
 from yieldmon.documents.tickets import TicketRow, TruckDocument
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service.storage.load_spread import LoadSpread, ParameterSpread, shares_std_dev
 
@@ -21,11 +22,6 @@ TICKET, TICKET_UNDO, ZERO, ZERO_UNDO = "ticket", "ticket-undo", "zero", "zero-un
 PARAMETERS, PARAMETERS_UNDO, REMEASURED, TOTALS_RESET = "parameters", "parameters-undo", "posting", "totals-reset"
 LOAD_NAMES = "load-names"
 """Another field or crop for loads."""
-FILE, HARDWARE = "file", "hardware"
-"""Origins of parameters that begin anew: from a parameter file, and after a change of the machine's parts."""
-CROP, UNDO = "crop", "undo"
-"""Origins of parameters that a change of crop brought, and an undo."""
-
 
 _CONTRADICTION = 3.0
 """Standard deviations of ticket and measurement together from which a ticket is no surer than what it is off by."""
@@ -269,7 +265,7 @@ def truck_of(document: Mapping[str, Any]) -> SharedTruck | None:
 
 def begins_anew(update: Action) -> bool:
     """Whether parameters, by the action that brought them, have nothing to do with what was measured before."""
-    return update.document.get("origin") in (FILE, HARDWARE)
+    return update.document.get("origin") in (ParameterOrigin.FILE, ParameterOrigin.HARDWARE)
 
 
 def recropped(actions: Iterable[Action]) -> set[int]:

@@ -6,7 +6,7 @@ from bisect import bisect
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from yieldmon.service.storage import ledger as ledgers
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.service.tickets.ticket_history import TicketHistory
 
 
@@ -90,7 +90,7 @@ class RemeasuringQueue:
         newest = history.newest_version_by_ticket
         left = [number for number in self.tickets if number in newest]
         self._taken_before = next_action
-        changes = sorted(version for version, a in history.updates.items() if a.document.get("origin") == ledgers.CROP)
+        changes = sorted(version for version, a in history.updates.items() if a.document.get("origin") == ParameterOrigin.CROP)
         harvests = {number: bisect(changes, newest[number]) for number in left}
         self._taken = tuple(number for number in left if harvests[number] == harvests[left[0]])
         self._tickets = [number for number in left if number not in self._taken]

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from yieldmon.errors import InputError
+from yieldmon.estimation.parameter_origin import ParameterOrigin
 from yieldmon.files.ticket_file import RELATIVE_STD_DEV
 from yieldmon.service.storage import ledger as ledgers
 from yieldmon.service.storage.batch import Action, Ticket
@@ -128,7 +129,7 @@ class TicketHistory:
         """The version that came as a ticket was replaced, where a parameter file has come since; None: none that stands."""
         undos = [a.number for a in self.actions if a.kind == ledgers.PARAMETERS_UNDO and a.document.get("replaced") == number]
         came = next((v for v, a in sorted(self.updates.items()) if undos and a.number > undos[-1]), None)
-        by_undo = came is not None and self.updates[came].document.get("origin") == ledgers.UNDO
+        by_undo = came is not None and self.updates[came].document.get("origin") == ParameterOrigin.UNDO
         stands = came is not None and came not in self.undone_versions
         return came if came is not None and by_undo and stands and came < self.calibrated_version else None
 
@@ -136,7 +137,7 @@ class TicketHistory:
         """Of a version that an undo made, numbers of the tickets that what it took back rests on and that no longer update: taken
         back, silenced or replaced. None for another version."""
         update = self.updates.get(version)
-        if update is None or update.document.get("origin") != ledgers.UNDO:
+        if update is None or update.document.get("origin") != ParameterOrigin.UNDO:
             return ()
         before = [a for a in self.actions if a.kind == ledgers.PARAMETERS_UNDO and a.number < update.number]
         taken_back = {int(v) for a in before[-1:] for v in a.document.get("versions", ())}
