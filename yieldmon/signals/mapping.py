@@ -210,8 +210,8 @@ def _signal(binding: Binding, message: MessageBits, name: str, key: str = "signa
     for flag, values in binding.valid.items():
         for raw in values:
             _raw(binding, message.signals[flag], "valid", raw)
-        if flag == name:
-            raise binding.refuse("valid", f"{name} is the signal itself", "another signal of the message; for its own: range")
+        if flag in binding.signals:
+            raise binding.refuse("valid", f"{flag} is the signal itself", "another signal of the message; for its own: range")
     taken = {page.bits.name: values for page, values in _pages(binding, message)}
     for above, values in message.pages(signal):
         wanted = set(taken.get(above.name, ()))
