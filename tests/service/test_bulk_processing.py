@@ -12,6 +12,7 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from tests.bus.log_files import write
@@ -250,6 +251,25 @@ def test_what_two_loggers_recorded_of_one_bus_counts_once(process, log, tmp_path
     assert len(rows) == len(whole)
     (said,) = summary.damages
     assert f"it holds the frames of {parts[0]} again (+3 ms); left out" in said
+
+
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+@pytest.mark.parametrize("dated", [True, False], ids=["dated", "recorders without a clock"])
+def test_a_second_logger_that_stamps_unsteadily_adds_nothing(process, dated, log, tmp_path):
+    """Its clock is 21 s late; nothing of what it holds comes after the end of the first."""
+    rng = np.random.default_rng(77)
+    early, late = messages(), messages()
+    begun_s = 0.0 if dated else float(np.floor(early[0].timestamp))
+    for message in early:
+        message.timestamp = round(message.timestamp - begun_s, 6)
+    for message in late:
+        message.timestamp = round(message.timestamp - begun_s + 21.0 + rng.uniform(0.0, 2e-4), 6)
+    parts = [write(tmp_path / "1.log", early), write(tmp_path / "2.log", late)]
+    rows, summary = rows_of(process, parts)
+    whole, _ = rows_of(process, parts[:1])
+    assert (len(rows), rows[-1].total_kg) == (len(whole), pytest.approx(whole[-1].total_kg, rel=1e-9))
+    (said,) = summary.damages
+    assert f"it holds the frames of {parts[0]} again (+21000 ms); left out" in said
 
 
 @pytest.mark.parametrize("reads_ahead", [False, True])

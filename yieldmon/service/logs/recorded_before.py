@@ -77,9 +77,10 @@ class RecordedBefore:
         until_s, line = float("-inf"), ""
         beginning = self._beginning(path) if self._logs else _Log(path)
         for other in self._logs:
-            apart_s = _apart_s(beginning, other)
-            if apart_s is not None and other.last_s + apart_s > until_s:
-                until_s = other.last_s + apart_s
+            found = _apart_s(beginning, other)
+            if found is not None and other.last_s + sum(found) > until_s:
+                apart_s, unsteady_s = found
+                until_s = other.last_s + apart_s + unsteady_s
                 held = (
                     f"up to {utc.text(utc.moment(until_s))} it holds the frames of {other.path} again ({1e3 * apart_s:+.0f} ms)"
                 )
@@ -90,13 +91,14 @@ class RecordedBefore:
     def take(self, block: FrameBlock, rows: NDArray[np.intp]) -> None:
         """Rows of the sensor's frames in a block of the log."""
         self._identifiers.update(_without_repeats(block.can_id[rows]).tolist())
-        dated = rows[block.time_s[rows] >= utc.EARLIEST_BUS_TIME_S]
-        if not dated.size:
+        if not rows.size:
             return
-        log, times_s = self._logs[-1], block.time_s[dated]
+        log, times_s = self._logs[-1], block.time_s[rows]
         log.last_s = max(log.last_s, float(times_s.max()))
-        log.seconds.update(_without_repeats(np.floor(times_s)).astype(np.int64).tolist())
-        log.take(*_compared(block, dated))
+        # Without a date all logs begin at the same second.
+        dated = times_s[times_s >= utc.EARLIEST_BUS_TIME_S]
+        log.seconds.update(_without_repeats(np.floor(dated)).astype(np.int64).tolist())
+        log.take(*_compared(block, rows))
 
     def same_times(self) -> tuple[SameTimes, ...]:
         """The logs before that have frames of the sensor at times at which the last one has others."""
@@ -112,7 +114,7 @@ class RecordedBefore:
         """Of frames that another log may hold: until enough of them can be compared, or past the end of all logs before."""
         found, last_s = _Log(path), max(log.last_s for log in self._logs)
         for block in self._looks(path):
-            rows = np.flatnonzero(np.isin(block.can_id, list(self._identifiers)) & (block.time_s >= utc.EARLIEST_BUS_TIME_S))
+            rows = np.flatnonzero(np.isin(block.can_id, list(self._identifiers)))
             found.take(*_compared(block, rows))
             beyond = rows.size and float(block.time_s[rows].min()) > last_s + _CLOCKS_S
             if beyond or sum(time_s is not None for time_s in found.times_s.values()) >= _ENOUGH:
@@ -144,12 +146,16 @@ def _compared(block: FrameBlock, rows: NDArray[np.intp]) -> tuple[list[_Key], li
     return keys, block.time_s[chosen].tolist()
 
 
-def _apart_s(log: _Log, other: _Log) -> float | None:
-    """How much later a log has the frames of another, s; None where it holds others."""
+def _apart_s(log: _Log, other: _Log) -> tuple[float, float] | None:
+    """How much later a log has the frames of another, and how much later than that a frame of it may be, s; None where it holds
+    others."""
     pairs = ((time_s, other.times_s.get(key)) for key, time_s in log.times_s.items())
     apart = np.array([time_s - before_s for time_s, before_s in pairs if time_s is not None and before_s is not None])
     if apart.size < _LEAST_ALIKE:
         return None
     middle = float(np.median(apart))
-    alike = np.count_nonzero(np.abs(apart - middle) <= _JITTER_S)
-    return middle if abs(middle) <= _CLOCKS_S and alike >= max(_LEAST_ALIKE, 0.9 * apart.size) else None
+    alike = apart[np.abs(apart - middle) <= _JITTER_S]
+    if abs(middle) > _CLOCKS_S or alike.size < max(_LEAST_ALIKE, 0.9 * apart.size):
+        return None
+    # Few frames are compared; one that is not may be stamped later than all of them.
+    return middle, 2.0 * (float(alike.max()) - middle)
