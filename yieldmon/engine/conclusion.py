@@ -92,6 +92,7 @@ class Conclusion:
         second = self._second(bus_s, reading, measured, step)
         record = record_of(second)
         self._keep_since_zero(record)
+        restated = self._seen_empty(reading)
         changes = self._update_parameters(window.end_s, record, estimator)
         ended = parts.plate.ended(updater.last_update, updater.estimator.parameters.version)
         zero: tuple[Event, ...] = (ZeroTaken(bus_s, record.zero_mv),) if reading.zero_taken else ()
@@ -99,7 +100,7 @@ class Conclusion:
         frames = parts.publisher.frames(record, self._published()) if self.publishing else ()
         emptied = parts.unloading.emptied(reading.inputs, window.end_s - window.start_s) and loads.totals.load_kg > 0.0
         started = loads.start(bus_s) if emptied else ()
-        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *changes, *ended, *started), NOTHING)
+        result: WindowResult = _result(record, frames, (*begun, *zero, *shown, *restated, *changes, *ended, *started), NOTHING)
         if self._deferred is None:
             return result
         self._deferred.add(second, measured.by_mean_force, estimator)
@@ -130,6 +131,12 @@ class Conclusion:
         angle_rad = window.plate_angle_rad if isfinite(window.plate_angle_rad) else parts.machine.home_plate_angle_rad
         loads.share(mass_kg, flow, estimator.parameters.version, angle_rad, updater.load_error)
         return _Measured(by_mean_force, flow, mass_kg, area_m2)
+
+    def _seen_empty(self, reading: Reading) -> LoadEvents:
+        """The loads whose standard deviation grows because the plate is seen empty, away from the zero."""
+        if not isfinite(reading.zero_moved_mv):
+            return ()
+        return self._parts.loads.seen_empty(reading.zero_moved_mv * self._parts.machine.sensor.gain_n_per_mv)
 
     def _keep_since_zero(self, record: WindowRecord) -> None:
         """Keep the second for an undo of the operator's zero, where there is one."""

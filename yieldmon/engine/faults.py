@@ -250,7 +250,7 @@ _TABLE = (
     ),
     FaultDefinition(
         _C.ZERO_DRIFTED, 520193, 13, _W, 3, 10,
-        "The zero-load voltage is far from its first value or from the empty plate, or was taken despite signs of grain.",
+        "The zero-load voltage is far from its first value or the empty plate, moved in grain, or taken despite signs of grain.",
         "Slow drift is corrected. A zero far from the empty plate makes flow and mass wrong, one taken with grain too small.",
         "Undo a wrong zero (yieldmon zero --undo). Otherwise clean the plate and run yieldmon zero with the elevator empty. "
         "If the sensor is new, check its sign (negative scale).",

@@ -7,6 +7,7 @@ from math import degrees, hypot, isfinite, radians, sqrt
 
 from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.inputs import InputSnapshot
+from yieldmon.engine.mass.budget import contradicts_drift
 from yieldmon.engine.mass.gates import GateInputs, HarvestGate
 from yieldmon.engine.mass.tank_rise import TankRise
 from yieldmon.engine.sampling.aliasing import ALIAS_FREE_HZ, aliasing_share
@@ -15,6 +16,7 @@ from yieldmon.engine.sampling.paddle_scatter import PaddleScatter
 from yieldmon.engine.sampling.speed_agreement import SpeedAgreement
 from yieldmon.engine.sampling.windows import Window
 from yieldmon.engine.sampling.zero import ZeroRefusal, ZeroState, ZeroTracker
+from yieldmon.engine.sampling.zero_step import ZeroStep
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sources import Sources
 from yieldmon.frames import EstimateQuality, HeaderDown, WorkState
@@ -70,10 +72,13 @@ class Reading:
     zero_age_s : float
         Since the zero was last taken or followed, or since the start, s.
     zero_away_mv : float
-        How far the empty plate was seen from the zero since, mV, in spells too short to take another, or how far a zero taken
-        despite signs of grain is from the one before it.
+        How far the empty plate was seen from the zero since, mV, in spells too short to take another, how far a zero taken
+        despite signs of grain is from the one before it, or how far the zero has stepped by the pulses of the grain.
     zero_far_mv : float
         How far from the zero the plate looked empty for long, where that is too far to follow, mV.
+    zero_moved_mv : float
+        How far the empty plate is from the zero of the seconds before, mV, where it has just been seen empty again: 0 where drift
+        explains it; nan where it was not seen.
     zero_refusal : ZeroRefusal or None
         Why there is no first zero.
     """
@@ -102,6 +107,7 @@ class Reading:
     zero_age_s: float
     zero_away_mv: float
     zero_far_mv: float
+    zero_moved_mv: float
     zero_refusal: ZeroRefusal | None
 
 
@@ -119,6 +125,12 @@ class Measurement:
         self._aliasing = sources.impact if slow else ()
         """Sensors too slow to sample the pulses without aliasing."""
         self._empty_spells = EmptySpells()
+        self._step = None if slow else ZeroStep(len(machine.paddle_spacings_m), settings.zero.noted_mv)
+        self._step_from: ZeroState | None = None
+        """Zero from which a step is looked for."""
+        self._was_far = False
+        self._moved = ""
+        """How far the zero moved until the plate was seen empty, for the operator; "" with grain and where drift explains it."""
         self._gate = HarvestGate(settings.gate)
         self._rest_rad = radians(settings.plate.rest_tolerance_deg)
         self._idle_since_s: float | None = None
@@ -191,6 +203,7 @@ class Measurement:
         measured with the zero that is undone."""
         self.zero.undo()
         self._empty_spells = EmptySpells()
+        self._moved = ""
 
     def resume(self, now_s: float, paused_s: float) -> None:
         """The recording continues after a pause of paused_s, during which the zero aged but engine time stood."""
@@ -225,7 +238,7 @@ class Measurement:
         self._last = (window, force) if window.samples else None
         self._tank.see(inputs)
         # Of the zero that the window is measured with: a new one may be taken at its end.
-        doubted_mv = self.zero.doubted_mv
+        doubted_mv, zero_before, age_before_s = self.zero.doubted_mv, self.zero.state, self._zero_age_s(window)
         taken = self._follow_zero(window, inputs, inputs.speed_known and in_range and not stuck, still and at_home)
         sampled_before, self._sampled = self._sampled, window.coverage > 0.0
         silent_before = self._ever_sampled and not sampled_before
@@ -234,11 +247,13 @@ class Measurement:
         self._jumps = clock_jumps
         speed = window.speed_rad_s if speed_was_known else _NAN
         zero = self.zero
-        zero_age_s = window.end_s - self._zero_known_s + self._paused_since_zero_s
+        moved_mv = self._moved_mv(window, zero_before, age_before_s, taken=taken)
+        self._follow_step(window, force, usable=quality is None and still and at_home, seen=isfinite(moved_mv))
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, contradicted, in_range, self._stuck_s,
-            self._struck_s, still, at_home, self._gate.harvesting, zero.state, zero.drift, zero.calibrating, sampled_before,
-            silent_before, self._since_jump, taken, zero_age_s, self._zero_away_mv(window, doubted_mv), zero.far_mv, zero.refusal,
+            self._struck_s, still, at_home, self._gate.harvesting, zero.state, self._zero_drift, zero.calibrating, sampled_before,
+            silent_before, self._since_jump, taken, self._zero_age_s(window), self._zero_away_mv(window, doubted_mv), zero.far_mv,
+            moved_mv, zero.refusal,
         )  # fmt: skip
 
     def _gated(self, window: Window, usable: bool, in_range: bool, idle_s: float) -> tuple[EstimateQuality | None, float, float]:
@@ -303,12 +318,12 @@ class Measurement:
         """Whether the pulses of a window with grain come at another rate than that of the reported speed."""
         zero, settings = self.zero.state, self._settings
         # Of pulses that are cut off neither range nor mean is known.
-        if self._agreement is None or zero is None or window.lost_frames or window.contested or window.saturated_share > 0.0:
+        if self._agreement is None or zero is None or not self._is_clean(window):
             return False
         grain_mv = window.mean_mv - zero.zero_mv
         if not grain_mv * self._machine.sensor.gain_n_per_mv > settings.gate.certain_force_n:
             return False
-        return window.coverage >= settings.windows.full_coverage and self._agreement.contradicted(window, grain_mv)
+        return self._agreement.contradicted(window, grain_mv)
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:
         """Whether grain strikes the plate although the elevator is reported to stand."""
@@ -365,12 +380,67 @@ class Measurement:
         else:
             self._empty_spells.see(window.mean_mv, zero.zero_mv, window.end_s)
 
+    def _zero_age_s(self, window: Window) -> float:
+        return window.end_s - self._zero_known_s + self._paused_since_zero_s
+
+    def _moved_mv(self, window: Window, before: ZeroState | None, age_s: float, *, taken: bool) -> float:
+        """As `Reading.zero_moved_mv`. before: the zero that the window was measured with; age_s: its age. taken: whether another
+        was taken with it."""
+        was_far, self._was_far = self._was_far, self.zero.far_mv != 0.0
+        if taken or self.zero.pulses(window):
+            self._moved = ""
+        if before is None or taken:
+            return _NAN
+        if self._was_far and not was_far:
+            moved_mv = self.zero.far_mv
+        elif self._empty_spells.settled:
+            moved_mv = self._empty_spells.level_mv - before.zero_mv
+            moved_mv = moved_mv if abs(moved_mv) > self.zero.unseen_pulse_mv(window) else 0.0
+        else:
+            return _NAN
+        if not contradicts_drift(self._settings.budget, age_s, abs(moved_mv)):
+            return 0.0
+        if abs(moved_mv) > self._settings.zero.noted_mv:
+            self._moved = (
+                f"the empty elevator reads {moved_mv:+.0f} mV from the zero with which the flow of the last {age_s:.0f} s was "
+                "measured"
+            )
+        return moved_mv
+
+    def _follow_step(self, window: Window, force_n: float, *, usable: bool, seen: bool) -> None:
+        """Look for a step of the zero that the grain's pulses do not share. seen: the plate was seen empty."""
+        if self._step is None:
+            return
+        if seen or self._step_from is not self.zero.state:
+            self._step_from = self.zero.state
+            self._step.forget()
+            return
+        gain = self._machine.sensor.gain_n_per_mv
+        if usable and force_n > 0.0 and window.pulse_mv * gain > self._settings.gate.certain_force_n and self._is_clean(window):
+            self._step.see(window, force_n / gain)
+
+    def _is_clean(self, window: Window) -> bool:
+        """Whether a window has all samples of one sensor, and none is cut off."""
+        whole = window.coverage >= self._settings.windows.full_coverage and not (window.lost_frames or window.contested)
+        return whole and not window.saturated_share > 0.0
+
+    @property
+    def _zero_drift(self) -> str:
+        """What is wrong with the zero, for the operator; "" where nothing is."""
+        step_mv = 0.0 if self._step is None else self._step.step_mv
+        if self._moved and not self.zero.suspect:
+            return self._moved
+        if self.zero.drift or step_mv == 0.0:
+            return self.zero.drift
+        return f"the signal has stepped by {step_mv:+.0f} mV, but the pulses of the grain have not changed"
+
     def _zero_away_mv(self, window: Window, doubted_mv: float) -> float:
         zero = self.zero.state
         if zero is None:
             return 0.0
         seen_mv = self._empty_spells.departure_mv(zero.zero_mv, self.zero.known_s, self.zero.unseen_pulse_mv(window))
-        return max(seen_mv, abs(self.zero.far_mv), abs(doubted_mv))
+        step_mv = 0.0 if self._step is None else self._step.step_mv
+        return max(seen_mv, abs(self.zero.far_mv), abs(doubted_mv), abs(step_mv))
 
     def _is_level(self, window: Window) -> bool:
         """Whether a window's samples determine its level: full coverage, or most of it from a sensor that loses samples all the

@@ -105,6 +105,11 @@ class ZeroSettings:
     """Something other than drift has happened."""
     drift_limit_mv: float = quantity(40.0, 0.1, 4000.0, "mV", "difference from the first zero that sets ZeroDrifted")
 
+    @property
+    def noted_mv(self) -> float:
+        """Change of the zero during harvest from which ZeroDrifted is shown, mV: too much for drift, and enough to matter."""
+        return 0.5 * self.max_step_mv
+
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:

@@ -203,6 +203,24 @@ def zero_std_dev_mv(settings: BudgetSettings, since_empty_s: float, away_mv: flo
     -------
     float
     """
+    return away_mv if contradicts_drift(settings, since_empty_s, away_mv) else _drift_mv(settings, since_empty_s)
+
+
+def contradicts_drift(settings: BudgetSettings, since_empty_s: float, away_mv: float) -> bool:
+    """Whether the expected drift does not explain that the empty plate is so far from the zero.
+
+    Parameters
+    ----------
+    settings, since_empty_s, away_mv
+        As of `zero_std_dev_mv`.
+
+    Returns
+    -------
+    bool
+    """
+    return away_mv > _CONTRADICTED * _drift_mv(settings, since_empty_s)
+
+
+def _drift_mv(settings: BudgetSettings, since_empty_s: float) -> float:
     hours = max(0.0, since_empty_s) / 3600.0
-    expected_mv = hypot(settings.zero_mv, settings.zero_drift_mv_per_root_h * sqrt(hours))
-    return away_mv if away_mv > _CONTRADICTED * expected_mv else expected_mv
+    return hypot(settings.zero_mv, settings.zero_drift_mv_per_root_h * sqrt(hours))

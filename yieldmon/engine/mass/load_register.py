@@ -104,16 +104,29 @@ class LoadRegister:
 
     def restate(self, number: int, parameters_kg: float) -> LoadEvents:
         """Set the standard deviation of a load's mass by the parameters; changes nothing where the load is not known."""
-        totals, before = self.totals, self.budget(number)
+        before = self.budget(number)
         if before is None:
             return ()
         more_kg = parameters_kg - before.parameters_kg
-        in_total = number >= totals.first_load or self._is_open(number)
-        total = totals.total_budget.with_parameters(more_kg) if in_total else totals.total_budget
+        widened, exact = before.with_parameters(more_kg), replace(before, parameters_kg=parameters_kg)
+        budget = widened if self._is_open(number) else exact
+        return self._state(number, before, budget, self.totals.total_budget.with_parameters(more_kg))
+
+    def widen_zero(self, number: int, more_kg: float) -> LoadEvents:
+        """Increase the standard deviation of a load's mass by the zero; `NO_LOAD`: of the totals alone."""
+        total, before = self.totals.total_budget.with_zero(more_kg), self.budget(number)
+        if number == NO_LOAD:
+            self.totals = self.totals.with_budgets(load=self.totals.load_budget, total=total)
+        return () if before is None else self._state(number, before, before.with_zero(more_kg), total)
+
+    def _state(self, number: int, before: MassBudget, budget: MassBudget, total: MassBudget) -> LoadEvents:
+        """Set the budget of a known load. total: of the totals, where the load is in them."""
+        totals = self.totals
+        if not (number >= totals.first_load or self._is_open(number)):
+            total = totals.total_budget
         if self._is_open(number):
-            self.totals = totals.with_budgets(load=before.with_parameters(more_kg), total=total)
+            self.totals = totals.with_budgets(load=budget, total=total)
             return ()
-        budget = replace(before, parameters_kg=parameters_kg)
         # The totals show the last load until the next one begins.
         self.totals = totals.with_budgets(load=budget if number == totals.load_number else totals.load_budget, total=total)
         changed = abs(budget.std_dev_kg - before.std_dev_kg) > _RESTATED * before.std_dev_kg

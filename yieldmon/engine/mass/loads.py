@@ -15,9 +15,10 @@ from yieldmon.engine.flow import Flow
 from yieldmon.engine.mass.load_errors import Deviations, LoadErrors
 from yieldmon.engine.mass.load_register import LoadRegister
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadEvents, LoadOpened, LoadSummary
-from yieldmon.engine.mass.missed_mass import MissedMass
+from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.silences import Missing, Silences
+from yieldmon.engine.mass.since_empty import SinceEmpty
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.mass.unseen import FlowAtStop, UnseenMass
 from yieldmon.engine.sampling.windows import Window
@@ -42,6 +43,7 @@ class Loads:
         self._errors = LoadErrors()
         self._silences = Silences()
         self._unseen = UnseenMass()
+        self._since_empty = SinceEmpty()
         self._counted_until_s = nan
         self._stopped_at_s = nan
 
@@ -166,7 +168,14 @@ class Loads:
             return 0.0
         dry_kg = self.dry_kg(mass_kg, moisture_pct)
         self.totals = self.totals.with_mass(mass_kg, dry_kg, flow.budget, seconds, area_m2)
+        self._since_empty.add(self.totals.load_number if self.totals.load_open else NO_LOAD, flow.budget, flow.force_n, seconds)
         return mass_kg
+
+    def seen_empty(self, force_n: float) -> LoadEvents:
+        """The plate is seen empty, force_n from the zero by which the mass since then was measured, 0 where drift explains it:
+        its standard deviation is at least what that makes. Returns the closed loads that change."""
+        lacking = self._since_empty.seen_empty(force_n)
+        return tuple(event for number, kg in lacking.items() for event in self._register.widen_zero(number, kg))
 
     def doubt(self) -> None:
         """Mass counted last may be wrong: the load cannot be compared with a weight."""
@@ -259,6 +268,7 @@ class Loads:
         events: LoadEvents = ()
         for number, found in missed.items():
             self._errors.forget_parameters(number)
+            self._since_empty.measured_again(number)
             events += self._register.correct(number, found, self._unseen)
         if since is not None:
             self._unseen.measured_again(since)

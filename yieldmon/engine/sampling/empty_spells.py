@@ -6,6 +6,8 @@ from math import inf
 
 _LEAST_WINDOWS = 3
 """Windows in a row without paddle pulses that are taken for an empty elevator."""
+_SETTLED_WINDOWS = 5
+"""The same until the last grain has left it."""
 
 
 class EmptySpells:
@@ -17,7 +19,8 @@ class EmptySpells:
         """Smallest difference from the zero in the spell under way, mV."""
         self._found: tuple[float, float] | None = None
         """Level of the last spell that was long enough, mV, and when it was seen."""
-        self._level_mv = 0.0
+        self.level_mv = 0.0
+        """Level of the spell that is nearest to the zero, mV."""
 
     def interrupt(self) -> None:
         """End the spell: grain, or a window that cannot be judged."""
@@ -30,9 +33,14 @@ class EmptySpells:
         """
         self._windows += 1
         if abs(level_mv - zero_mv) < self._away_mv:
-            self._away_mv, self._level_mv = abs(level_mv - zero_mv), level_mv
+            self._away_mv, self.level_mv = abs(level_mv - zero_mv), level_mv
         if self._windows >= _LEAST_WINDOWS:
-            self._found = (self._level_mv, end_s)
+            self._found = (self.level_mv, end_s)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the spell under way has just lasted long enough for its level to be that of an empty plate."""
+        return self._windows == _SETTLED_WINDOWS
 
     def departure_mv(self, zero_mv: float, known_s: float | None, trickle_mv: float) -> float:
         """How far the last spell's level is from the zero.
