@@ -93,6 +93,24 @@ def test_the_width_is_that_of_the_daemons_areas(tmp_path: Path) -> None:
         sources.read(tmp_path / "none.sqlite", ReadOptions())
 
 
+@pytest.mark.parametrize("options", [WIDTH, ReadOptions()], ids=["a width", "no width"])
+@pytest.mark.parametrize(
+    ("lacking", "what"),
+    [
+        ({"longitude_deg": None}, "position"),
+        ({"longitude_deg": None, "latitude_deg": None}, "position"),
+        ({"ground_speed_m_s": None}, "ground speed"),
+    ],
+)
+def test_a_store_without_places_or_speeds_says_what_to_put_on_the_bus(
+    lacking: dict[str, None], what: str, options: ReadOptions, tmp_path: Path
+) -> None:
+    with Store(tmp_path / "s.sqlite") as store:
+        store.commit([batch(1, seconds=tuple(replace(row, **lacking) for row in harvest()))])
+    with pytest.raises(InputError, match=f"no second has a {what}; expected position .* on the bus while harvesting: `signals`"):
+        sources.read(tmp_path / "s.sqlite", options)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [

@@ -237,7 +237,7 @@ def test_depth_and_number_are_bounded(how: str, tmp_path: Path, capsys: pytest.C
 def test_tickets_as_spreadsheets_write_them(
     text: str, weighed_kg: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ag_leader(tmp_path / "field.txt", delay_s=LATE, seed=5, passes=2)
+    ag_leader(tmp_path / "field.txt", delay_s=LATE, seed=5, passes=24)
     (tmp_path / "tickets.csv").write_text(text, encoding="utf-8")
     document, _ = mapped(capsys, tmp_path / "field.txt", "--tickets", tmp_path / "tickets.csv")
     assert document["mass_kg"]["corrected"] == pytest.approx(weighed_kg, abs=0.001)

@@ -104,7 +104,7 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
     Raises
     ------
     InputError
-        Where there are no seconds, or no width is given and the areas do not tell it.
+        Where there are no seconds, none has a position or ground speed, or no width is given and the areas do not tell it.
     """
     if not rows:
         raise InputError(str(path), "has no seconds", f"a {kind} with records")
@@ -117,6 +117,13 @@ def table_of(rows: list[SecondRow], loads: Mapping[int, Load], path: Path, kind:
         # Of a second of too few samples neither frame nor table has a flow.
         flow = np.where((duration > 0) & ~(np.isnan(flow) & (mass > 0)), mass / duration, flow)
     speed = _column(rows, "ground_speed_m_s")
+    for what, values in (
+        ("position", _column(rows, "longitude_deg") + _column(rows, "latitude_deg")),
+        ("ground speed", speed),
+    ):
+        if not np.isfinite(values).any():
+            on_bus = "position (latitude, longitude) and ground speed on the bus while harvesting: `signals` of the configuration"
+            raise InputError(str(path), f"no second has a {what}", on_bus)
     if options.width_m is None:
         width, of_width = _width_m(_column(rows, "area_m2"), speed * duration, path)
     else:
