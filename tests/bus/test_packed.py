@@ -176,6 +176,18 @@ def test_what_the_recorder_lost_is_reported_of_the_packed_log_too(tmp_path: Path
         assert by_frame.dropped_by_recorder == by_block.dropped_by_recorder == 40
 
 
+@pytest.mark.parametrize(("pause_s", "said"), [(59.0, False), (61.0, True)])
+def test_a_pause_between_packed_logs_that_a_clock_may_have_made_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], pause_s: float, said: bool
+) -> None:
+    frame = "({:.6f}) can0 0CFF1180#800CFFFFFFFFFFFF\n"
+    (tmp_path / "a.log").write_text(frame.format(1.79e9) + frame.format(1.79e9 + 10.0))
+    (tmp_path / "b.log").write_text(frame.format(1.79e9 + 10.0 + pause_s))
+    assert main(["pack", str(tmp_path / "b.log"), str(tmp_path / "a.log"), "--out", str(tmp_path / "ab.parquet")]) == 0
+    note = f"yieldmon: {tmp_path / 'b.log'} begins 61 s after the log before it ends: in one file that is a clock"
+    assert (note in capsys.readouterr().err) == said
+
+
 def test_damaged_places_beyond_those_named_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "day.log"
     log.write_text(logs.text() + "garbage\n" * 25)

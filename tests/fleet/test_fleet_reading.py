@@ -245,6 +245,18 @@ def test_report_names_a_ticket_of_which_nothing_was_measured(tmp_path: Path) -> 
     assert not any("a.log weighs" in text for text in said)
 
 
+def test_a_large_error_keeps_its_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    day = tmp_path / "tree" / "m" / "2026-10-01"
+    day.mkdir(parents=True)
+    (day / "a.log").write_text(logs.text(grain_s=60.0))
+    (day / "tickets.csv").write_text("load,weighed_kg\na.log,1\n")
+    assert measure(tmp_path / "tree", str(tmp_path / "out")) == 0
+    capsys.readouterr()
+    assert main(["fleet", "report", str(tmp_path / "out")]) == 0
+    heading, row = capsys.readouterr().out.splitlines()[:2]
+    assert len(row.split()) == len(heading.replace(" %", "").split())
+
+
 def test_report_names_days_without_a_zero(tmp_path: Path) -> None:
     source, out = tmp_path / "tree", str(tmp_path / "out")
     lines = logs.text(60.0).splitlines(keepends=True)

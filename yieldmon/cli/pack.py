@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,14 +15,19 @@ from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.log_order import in_time_order
 from yieldmon.bus.log_files.logs import PACKED_SUFFIX, require_log
 from yieldmon.bus.packed.writing import pack
-from yieldmon.cli import _channels, _outputs
+from yieldmon.cli import _channels, _notes, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.documents.pack import PackDocument
+from yieldmon.engine.settings import ClockSettings
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.units import counted
+
+_PAUSE = (
+    "in one file that is a clock that was set forward (ClockJumped); packed each by itself, logs give `process` the same rows"
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -75,8 +81,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _blocks(logs: list[str], notes: LogNotes, channels: list[str]) -> Iterator[FrameBlock]:
+    end_s = math.inf
     for log in logs:
+        begins = True
         for block in iter_blocks(log, notes):
             if (block.length > CLASSIC_BYTES).any():
                 raise InputError(log, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
+            if len(block):
+                if begins and (pause_s := float(block.time_s[0]) - end_s) > ClockSettings().max_gap_s:
+                    _notes.note(f"{log} begins {pause_s:.0f} s after the log before it ends: {_PAUSE}")
+                begins, end_s = False, float(block.time_s[-1])
             yield block.of_channels(channels) if channels else block

@@ -45,8 +45,8 @@ def _text(summary: FleetReportDocument) -> str:
         lines.append(
             f"{name:<{wide}}{m['days']:>5}{m['hours']:>9.1f}{m['mass_kg'] / 1000.0:>10.1f}{faults:>8}"
             f"{len(m['model_disagrees']):>10}{m['tickets']['count']:>8}"
-            + (f"{error:>+9.2f}" if error is not None else f"{'-':>9}")
-            + (f"{drift:>+9.2f}" if drift is not None else f"{'-':>9}")
+            + (f" {error:>+8.2f}" if error is not None else f"{'-':>9}")
+            + (f" {drift:>+8.2f}" if drift is not None else f"{'-':>9}")
         )
     totals = summary["totals"]
     sums = f"{totals['hours']:.1f} h, {totals['mass_kg'] / 1000.0:.1f} t"
