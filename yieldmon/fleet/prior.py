@@ -30,11 +30,10 @@ from yieldmon.service.storage.rows import SecondRow
 from yieldmon.units import counted
 
 _DAYS = "SELECT machine, day, machine_document FROM provenance WHERE lower(crop) = lower(?) ORDER BY machine, day"
-_OF_NO_CROP = (
-    "SELECT count(*) AS count FROM loads JOIN provenance USING (machine, day) WHERE kind = 'ticket' AND coalesce(crop, '') = ''"
-)
-_CROPS = "SELECT DISTINCT crop FROM loads JOIN provenance USING (machine, day) WHERE kind = 'ticket' AND crop != '' ORDER BY crop"
-_TICKETS = "SELECT * FROM loads WHERE kind = 'ticket' AND machine = ? AND day = ? ORDER BY first_number"
+_OF_TICKETS = f"FROM loads JOIN provenance USING (machine, day) WHERE kind = '{tables.TICKET}'"
+_OF_NO_CROP = f"SELECT count(*) AS count {_OF_TICKETS} AND coalesce(crop, '') = ''"
+_CROPS = f"SELECT DISTINCT crop {_OF_TICKETS} AND crop != '' ORDER BY crop"
+_TICKETS = f"SELECT * FROM loads WHERE kind = '{tables.TICKET}' AND machine = ? AND day = ? ORDER BY first_number"
 _LOGS = f"SELECT name, first_number, last_number FROM loads WHERE kind = '{tables.LOG}' AND machine = ? AND day = ? ORDER BY 2"
 _RECORDS = "SELECT * FROM {} WHERE number BETWEEN ? AND ? ORDER BY number"
 _VERSIONS = "SELECT version, name, value FROM parameters WHERE machine = ? AND day = ? ORDER BY version, name"

@@ -61,9 +61,9 @@ SELECT machine, name, day, arg_max(value, (coalesce(time_s, 0), version)) AS val
 FROM parameters GROUP BY ALL ORDER BY machine, name, day
 """
 _LOG_MASSES = f"SELECT machine, day, name, measured_kg FROM loads WHERE kind = '{tables.LOG}'"
-_TICKETS = """
+_TICKETS = f"""
 SELECT machine, day, name, measured_kg, weighed_kg, 100 * (measured_kg / weighed_kg - 1) AS error_pct FROM loads
-WHERE kind = 'ticket' AND weighed_kg > 0 ORDER BY machine, day, name
+WHERE kind = '{tables.TICKET}' AND weighed_kg > 0 ORDER BY machine, day, name
 """
 
 

@@ -13,8 +13,9 @@ from yieldmon.files import digests
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import local_copies
 from yieldmon.fleet.identity import Identity, Software, inputs_sha256, software
-from yieldmon.fleet.measuring import Poisoned, by_name, measure, write_provenance
+from yieldmon.fleet.measuring import measure, write_provenance
 from yieldmon.fleet.partition import Partition
+from yieldmon.fleet.poisoned import Poisoned, by_name
 from yieldmon.fleet.tables import TABLES
 from yieldmon.repeats import repeated
 from yieldmon.service.config.configuration import Configuration

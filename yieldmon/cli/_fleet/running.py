@@ -28,8 +28,8 @@ from yieldmon.fleet.copies import with_copies
 from yieldmon.fleet.dataset import Dataset
 from yieldmon.fleet.filesystem import is_remote
 from yieldmon.fleet.identity import parameters_sha256, software
-from yieldmon.fleet.measuring import by_name
 from yieldmon.fleet.partition import Manifest, Partition
+from yieldmon.fleet.poisoned import by_name
 from yieldmon.fleet.worker import DONE, FAILED, LEFT, SKIPPED, Outcome, Task, refused
 from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
