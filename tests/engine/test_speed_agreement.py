@@ -139,3 +139,31 @@ def test_before_ten_seconds_of_grain_nothing_is_said() -> None:
 def test_after_twelve_seconds_of_grain_it_is_said() -> None:
     kept = measured(Misreported(reported=lambda time_s: 300.0 if 1025.0 <= time_s < 1028.0 else 400.0))
     assert {25, 26, 27} <= set(missing(kept))
+
+
+def doubted(kept: Kept) -> list[str]:
+    events = [event for event in kept.fault_events if event.code == "WaveformContradicts"]
+    return [event.detail.split(" rpm")[0] if event.active else "gone" for event in events]
+
+
+@pytest.mark.parametrize("share", [0.8, 0.86, 0.9, 0.92, 0.94, 1.06, 1.08, 1.1, 1.2])
+def test_a_speed_that_is_wrong_from_the_beginning_is_said(share: float) -> None:
+    """A chain that slips looks the same, and tickets correct what it does to the flow: grain is measured."""
+    kept = measured(Misreported(reported=lambda time_s: 400.0 * share))
+    assert doubted(kept) == [f"the pulses of the grain do not come at the rate of {400.0 * share:.0f}"]
+    assert (shown(kept), missing(kept)) == ([], [])
+
+
+@pytest.mark.parametrize("share", [0.97, 1.0, 1.03])
+def test_an_error_as_of_a_machine_file_is_no_wrong_speed(share: float) -> None:
+    assert doubted(measured(Misreported(reported=lambda time_s: 400.0 * share))) == []
+
+
+@pytest.mark.parametrize("bench", OTHERWISE.values(), ids=OTHERWISE.keys())
+def test_nothing_else_puts_the_speed_in_doubt(bench: Misreported) -> None:
+    assert doubted(measured(bench)) == []
+
+
+def test_a_speed_that_becomes_right_is_in_doubt_no_more() -> None:
+    kept = measured(Misreported(reported=lambda time_s: 400.0 if time_s >= 1050.0 else 440.0))
+    assert doubted(kept)[1:] == ["gone"]

@@ -50,6 +50,8 @@ class Reading:
         Whether it is at the window's end.
     speed_contradicted : bool
         Whether the pulses on the plate come at another rate, so that it counts as not known.
+    speed_doubted : bool
+        Whether they do so as far back as they were seen, by a wrong scale of the speed or a chain that slips; it counts as known.
     in_range : bool
         Whether grain is measured at this speed.
     stuck_s : int
@@ -91,6 +93,7 @@ class Reading:
     speed_rad_s: float
     speed_known: bool
     speed_contradicted: bool
+    speed_doubted: bool
     in_range: bool
     stuck_s: int
     struck_s: int
@@ -140,7 +143,7 @@ class Measurement:
         self._stuck_s = 0
         self._struck_s = 0
         self._scatter = PaddleScatter(settings.windows)
-        self._agreement = None if slow else SpeedAgreement(len(machine.paddle_spacings_m))
+        self._agreement = None if slow else SpeedAgreement(machine)
         self._sampled = self._ever_sampled = False
         self._jumps = 0
         self._paused = 0.0, 0.0
@@ -250,7 +253,8 @@ class Measurement:
         moved_mv = self._moved_mv(window, zero_before, age_before_s, taken=taken)
         self._follow_step(window, force, usable=quality is None and still and at_home, seen=isfinite(moved_mv))
         return _reading(
-            window, inputs, quality, force, noise, speed, inputs.speed_known, contradicted, in_range, self._stuck_s,
+            window, inputs, quality, force, noise, speed, inputs.speed_known, contradicted,
+            self._agreement is not None and self._agreement.doubted, in_range, self._stuck_s,
             self._struck_s, still, at_home, self._gate.harvesting, zero.state, self._zero_drift, zero.calibrating, sampled_before,
             silent_before, self._since_jump, taken, self._zero_age_s(window), self._zero_away_mv(window, doubted_mv), zero.far_mv,
             moved_mv, zero.refusal,
