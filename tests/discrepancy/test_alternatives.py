@@ -232,6 +232,24 @@ def test_a_law_of_powers_has_no_cause(make_rows, start) -> None:
     assert "without a cause" in choice.objection
 
 
+def test_powers_that_change_with_the_plate_angle_have_no_cause(start) -> None:
+    """Three effects follow such a law to within the noise."""
+    flow, angle, trial = (
+        a.ravel()
+        for a in np.meshgrid([2.0, 5.0, 9.0, 14.0, 19.0], np.radians(np.arange(42.0, 91.0, 8.0)), [1, 2, 3], indexing="ij")
+    )
+    force = 11.0 * flow ** (0.85 + 0.3 * np.log(np.sin(angle))) * np.sin(angle) ** 1.5
+    share, offset_n = np.random.default_rng(2).normal(0.0, (0.01, 0.2), (len(force), 2)).T
+    reading, nothing = force * (1.0 + share) + offset_n, np.full(len(force), np.nan)
+    rows = Rows(
+        Machine(), "mass_flow_kg_s", "force", True, angle, np.full(len(force), 400.0 * generator.RPM), flow, nothing,
+        reading, nothing, tuple(map(str, trial)), np.zeros(len(force), dtype=np.int64),
+    )  # fmt: skip
+    choice = diagnosis.examine(with_cells(rows), start).choice
+    assert choice.verdict == "unknown"
+    assert "without a cause" in choice.objection
+
+
 @pytest.mark.parametrize("effects", [{}, {"zero_offset": 4.0}, {"plate_friction": 0.3}, {"jet_shielding": 0.5}], ids=str)
 @pytest.mark.parametrize("speeds_rpm", [(400.0,), (340.0, 400.0, 460.0)], ids=["one speed", "three"])
 def test_grain_follows_no_law_of_powers(make_rows, start, effects, speeds_rpm) -> None:

@@ -7,6 +7,7 @@ The first two are errors of the model with wider priors than `Fit.shape_error`, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -100,7 +101,8 @@ def one_angle_off(base: Fit, scale: float, per_parameter: float) -> OneAngle | N
 
 
 def by_powers(base: Fit, scale: float, per_parameter: float) -> float | None:
-    """-2 log evidence of readings in proportion to powers of load, elevator speed and sin(plate angle), without any cause.
+    """-2 log evidence of readings in proportion to powers of load, elevator speed and sin(plate angle), without any cause;
+    each power may change with the logarithms of the others.
 
     The fit is that of a generalised linear model with a logarithmic link (Nelder and Wedderburn, J. R. Stat. Soc. A 135, 1972).
     None if a logarithm does not exist.
@@ -110,7 +112,15 @@ def by_powers(base: Fit, scale: float, per_parameter: float) -> float | None:
     if np.any(axes <= 0.0):
         return None
     varied = np.log(axes[np.ptp(axes, axis=1) > _VARIED * np.max(axes, axis=1)])
-    columns = np.column_stack((np.ones(len(sd)), *(axis - axis.mean() for axis in varied)))
+    centred = [axis - axis.mean() for axis in varied]
+    products = [a * b for a, b in combinations(centred, 2)]
+    each = [centred, [*centred, *products]] if products else [centred]
+    return min(_by_columns(base, np.column_stack((np.ones(len(sd)), *columns)), scale, per_parameter) for columns in each)
+
+
+def _by_columns(base: Fit, columns: Array, scale: float, per_parameter: float) -> float:
+    """-2 log evidence of readings whose logarithms are a sum of columns (cells, n)."""
+    cells, sd = base.frame.cells, base.frame.sd
     predicted = model_error.level(cells.mean)
     for _ in range(_ITERATIONS):
         weight = predicted / sd
