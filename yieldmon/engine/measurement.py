@@ -431,11 +431,11 @@ class Measurement:
     @property
     def _zero_drift(self) -> str:
         """What is wrong with the zero, for the operator; "" where nothing is."""
-        step_mv = 0.0 if self._step is None else self._step.step_mv
         if self._moved and not self.zero.suspect:
             return self._moved
-        if self.zero.drift or step_mv == 0.0:
-            return self.zero.drift
+        drift, step_mv = self.zero.drift, 0.0 if self._step is None else self._step.step_mv
+        if drift or step_mv == 0.0:
+            return drift
         return f"the signal has stepped by {step_mv:+.0f} mV, but the pulses of the grain have not changed"
 
     def _zero_away_mv(self, window: Window, doubted_mv: float) -> float:

@@ -48,12 +48,15 @@ class ZeroStep:
         self._least_mv = least_mv
         self._before: deque[_Second] = deque(maxlen=_KEPT)
         self._newest: deque[_Second] = deque(maxlen=_NEWEST)
+        self._ratios: deque[float] = deque(maxlen=_KEPT)
+        """Of the seconds before."""
         self.step_mv = 0.0
         """The step as last found, mV; 0 for none."""
 
     def forget(self) -> None:
         """The plate was seen empty, or there is another zero."""
         self._before.clear()
+        self._ratios.clear()
         self._newest.clear()
         self.step_mv = 0.0
 
@@ -75,6 +78,7 @@ class ZeroStep:
         if len(self._newest) == _NEWEST and self.step_mv == 0.0:
             # Seconds after a step are not what a further one is compared with.
             self._before.append(self._newest[0])
+            self._ratios.append(self._newest[0].ratio)
         self._newest.append(_Second(amplitude_mv, window.speed_rad_s, second_mv / amplitude_mv, grain_mv / amplitude_mv))
         if len(self._newest) == _NEWEST and len(self._before) >= _LEAST and (self.step_mv != 0.0 or self._differ):
             found_mv = self._found_mv()
@@ -84,8 +88,8 @@ class ZeroStep:
     @property
     def _differ(self) -> bool:
         """Whether the newest seconds' ratios are so far from those before that there can be a step; cheap, for every second."""
-        before, newest = [second.ratio for second in self._before], [second.ratio for second in self._newest]
-        low, high = min(before), max(before)
+        low, high = min(self._ratios), max(self._ratios)
+        newest = [second.ratio for second in self._newest]
         return max(newest) - low > _NEAR * low or high - min(newest) > _NEAR * high
 
     def _found_mv(self) -> float | None:
