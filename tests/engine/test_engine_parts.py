@@ -164,6 +164,15 @@ def test_fault_hysteresis(code: FaultCode) -> None:
     assert [(event.code, event.active) for event in events if event is not None] == [(code, True), (code, False)]
 
 
+def test_a_detail_that_holds_no_more_is_not_said_any_longer() -> None:
+    book, code = FaultBook(), FaultCode.SPEED_MISSING
+    for second in range(4):
+        book.observe(code, float(second), "396 rpm, but grain strikes the plate", present=True)
+    book.observe(code, 4.0, "", present=True)
+    assert book.is_active(code)
+    assert book.detail(code) == ""
+
+
 def test_what_changed_with_a_window_is_handed_back_withdrawn_first() -> None:
     book = FaultBook()
     note, other, third = FaultCode.SWEEP_ABORTED, FaultCode.SENSOR_MISSING, FaultCode.CALIBRATION_OLD

@@ -26,6 +26,8 @@ from tests.service.bench import (
     START_S,
     ZERO_MV,
     ask,
+    encoded,
+    messages,
     running,
     wait_for,
     warm_up,
@@ -36,6 +38,7 @@ from yieldmon.cli import main as cli
 from yieldmon.files import parameter_file
 from yieldmon.files.crops import crop
 from yieldmon.frames import EstimateQuality, Frame
+from yieldmon.resources import shipped
 from yieldmon.service.config import configuration
 from yieldmon.service.history.journal import Journal
 from yieldmon.service.operator.command_queue import CommandQueue, Job
@@ -599,6 +602,33 @@ def test_status_is_readable_and_complete(tmp_path, capsys):
     assert re.fullmatch(r"1: \S+ kg ± \S+ kg wet, \S+ kg dry, at 15\.5 % moisture", rows["load"])
     assert re.search(r"shape_ratio\s+2,", text)
     assert "no faults" in text
+
+
+def test_the_yield_shown_is_of_seconds_that_have_a_flow(tmp_path):
+    machine = shipped("config/machines/sprocket-8.yaml").read_text()
+    (tmp_path / "m.yaml").write_text(f"{machine}\nimplement: {{working_width_m: 9.1}}\n")
+    with running(tmp_path, "bus: {transmit_max_age_s: 60}\nmachine_file: m.yaml\n") as bench:
+
+        def play(seconds: int, force_mv: float, **without: bool) -> None:
+            for _ in range(10 * seconds):
+                driven = {"CompassBearing": 0.0, "NavigationSpeed": 6.0}
+                bench.peer.send(encoded(Frame(bench.now_s, frames.VEHICLE_DIRECTION_SPEED, driven)))
+                for message in messages(bench.now_s, 0.1, force_mv):
+                    if not (without and CODEC.decode(message).message == frames.IMPACT_SENSOR_SAMPLES):
+                        bench.peer.send(message)
+                bench.now_s += 0.1
+
+        play(14, EMPTY_MV)
+        play(12, GRAIN_MV)
+        bench.played()
+        usual = bench.status["now"]["yield_kg_m2"]
+        assert usual > 0.1
+        play(3, GRAIN_MV, sensor=False)
+        bench.played()
+        assert (bench.rows[-1]["quality"], bench.status["now"]["yield_kg_m2"]) == ("not_available", None)
+        play(5, GRAIN_MV)
+        bench.played()
+        assert bench.status["now"]["yield_kg_m2"] == pytest.approx(usual, rel=0.05)
 
 
 def test_status_without_a_daemon_is_one_line(tmp_path, capsys):

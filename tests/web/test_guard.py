@@ -197,6 +197,36 @@ def test_commands_reach_the_daemon_and_its_refusals_come_back(daemon: StandIn, c
     assert (answer.status_code, answer.json()) == (409, {"error": "zero: there is grain"})
 
 
+@pytest.mark.parametrize(("command", "button"), [("load-start", "New load"), ("load-stop", "End load")])
+def test_a_button_pressed_on_an_old_screen_is_told_which_load_it_is(
+    daemon: StandIn, clock: Clock, command: str, button: str
+) -> None:
+    answer = client(daemon, clock).post("/api/command", json={"command": command, "shown_load": 0})
+    said = f"{button}: the load in the tank is now 1; expected Cancel, a look at that load, and then the button again"
+    assert (answer.status_code, answer.json()["error"]) == (409, said)
+    assert daemon.asked == []
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("since=abc", "'since': is not known here; expected day or load"),
+        ("load=abc", "load: 'abc'; expected the number of a load"),
+        ("load=-1", "load: '-1'; expected the number of a load"),
+        ("day=yesterday", "day: 'yesterday'; expected today or a day such as 2025-10-09"),
+        ("day=2025-10-9", "day: '2025-10-9'; expected today or a day such as 2025-10-09"),
+    ],
+)
+def test_points_of_what_cannot_be_are_refused(daemon: StandIn, clock: Clock, query: str, said: str) -> None:
+    answer = client(daemon, clock).get(f"/api/points?{query}")
+    assert (answer.status_code, answer.json()["error"]) == (400, said)
+
+
+@pytest.mark.parametrize("query", ["", "day=today", "day=2025-10-09", "load=1", "day=&load="])
+def test_points_of_a_day_or_a_load_are_given(daemon: StandIn, clock: Clock, query: str) -> None:
+    assert client(daemon, clock).get(f"/api/points?{query}").status_code == 200
+
+
 def test_a_daemon_of_another_version_is_commanded_nothing(daemon: StandIn, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = daemon.status
     monkeypatch.setattr(daemon, "status", lambda: {name: part for name, part in whole().items() if name not in ("load", "crop")})

@@ -92,6 +92,16 @@ def test_places_of_a_day_or_a_load(daemon: StandIn) -> None:
     assert [len(unpacked(history.points(daemon.store_path, load=load))[3]) for load in (1, 2)] == [1500, 0]
 
 
+def test_today_is_the_day_of_the_newest_second_where_the_clock_was_ahead(daemon: StandIn) -> None:
+    start_s = daemon.start_s
+    daemon.start_s = start_s + 3650 * 86400.0
+    daemon.seconds(20)
+    daemon.start_s = start_s
+    daemon.seconds(30)
+    history = History(0.0)
+    assert len(unpacked(history.points(daemon.store_path, day="today"))[3]) == 30
+
+
 @pytest.mark.parametrize("most", [400, 1100, history_module.MOST_POINTS])
 def test_places_that_are_kept_are_those_of_the_store(daemon: StandIn, monkeypatch: pytest.MonkeyPatch, most: int) -> None:
     monkeypatch.setattr(history_module, "MOST_POINTS", most)

@@ -63,7 +63,7 @@ class FaultBook:
         definition = FAULTS[code]
         if not present and code in self._reported:
             present, detail = True, self._reported[code]
-        if present and detail:
+        if present:
             entry.detail = detail
         if present == entry.active:
             entry.streak = 0

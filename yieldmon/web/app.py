@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import re
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ from yieldmon.web.units import in_units, page_units, texts_of_status, units_of_s
 
 STATIC = Path(__file__).resolve().parent / "static"
 MOST_BODY_BYTES = 4096
+_DAY = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _NO_STORE = {"cache-control": "no-store"}
 _TILE_LIFE = {"cache-control": "private, max-age=86400"}
 
@@ -178,11 +180,13 @@ class _Page:
         return await self._from_store(lambda path: _json(in_units(self._history.document(path), units)))
 
     async def points(self, request: Request) -> Response:
-        day, load = request.query_params.get("day", ""), request.query_params.get("load", "")
-        number = _number(load)
+        try:
+            day, number = _of_points(request.query_params)
+        except InputError as error:
+            return _error(400, str(error))
 
         def read(path: Path) -> Response:
-            packed = self._history.points(path, day[:20], number)
+            packed = self._history.points(path, day, number)
             return Response(packed, media_type="application/octet-stream", headers=_NO_STORE)
 
         return await self._from_store(read)
@@ -291,6 +295,19 @@ async def _body(request: Request) -> object:
         return json.loads(body)
     except (ValueError, RecursionError, ClientDisconnect) as error:
         raise InputError("request", "is not JSON", expected) from error
+
+
+def _of_points(query: Mapping[str, str]) -> tuple[str, int | None]:
+    """Day and load of which points are asked for; no day is all of them. Raises InputError."""
+    strange = sorted(query.keys() - {"day", "load"})
+    if strange:
+        raise InputError(repr(strange[0]), "is not known here", "day or load")
+    day, load = query.get("day", ""), query.get("load", "")
+    if day not in ("", "today") and not _DAY.fullmatch(day):
+        raise InputError("day", repr(day), "today or a day such as 2025-10-09")
+    if load and _number(load) is None:
+        raise InputError("load", repr(load), "the number of a load")
+    return day, _number(load)
 
 
 def _number(text: str) -> int | None:

@@ -35,6 +35,8 @@ _BUTTONS: Mapping[str, str] = {
     "`yieldmon zero`": "Zero",
     "zero --undo:": "Undo zero:",
     "load stop:": "End load:",
+    "load-start:": "New load:",
+    "load-stop:": "End load:",
 }
 
 _UNDO_TICKET = re.compile(r"`yieldmon ticket undo ([0-9]+)`")
@@ -95,6 +97,9 @@ def request_of(document: object, load_number: int | None) -> dict[str, Any]:
     if strange:
         raise InputError(command, f"takes no {strange[0][:40]!r}", ", ".join(sorted(ALLOWED[command])) or "no argument")
     if command in _ABOUT_A_LOAD and document.get("shown_load") != load_number:
-        now = "not known" if load_number is None else str(load_number)
-        raise InputError(command, f"the load is now {now}", "the command again, after a look at that load")
+        if load_number is None:
+            raise InputError(command, "the number of the load is not known", "the command again, once it is")
+        raise InputError(
+            command, f"the load in the tank is now {load_number}", "Cancel, a look at that load, and then the button again"
+        )
     return {"command": command, **arguments}

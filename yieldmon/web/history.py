@@ -133,7 +133,7 @@ class History:
         path : Path
             The store.
         day : str
-            A day as `document` names it, "today" for the newest; "" for all.
+            A day as `document` names it, "today" for that of the newest second; "" for all.
         load : int or None
             One load only.
 
@@ -152,7 +152,8 @@ class History:
             self._sum_up(path)
             days = self._sums.days
             if day == "today":
-                day = max(days, default="")
+                # A clock that was ahead for a while has left days that are to come.
+                day = max(days, key=lambda name: days[name].last, default="")
             chosen = days.get(day)
             first, last = (chosen.first, chosen.last) if chosen is not None else (0, 0 if day else 2**62)
             with closing(read_only(path)) as database:

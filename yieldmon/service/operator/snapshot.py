@@ -109,15 +109,17 @@ def _crop(name: str, market_moisture_pct: float) -> StatusCrop:
 
 
 def _now(rows: tuple[SecondRow, ...], area_unknown_because: str) -> StatusNow:
-    """What a driver looks at: the last second's flow, moisture and speed, and the yield of the last seconds."""
+    """What a driver looks at: the last second's flow, moisture and speed, and the yield of the last seconds that
+    have a flow; none while the last has not."""
     last = rows[-1] if rows else None
-    placed = [row for row in rows if row.area_m2 is not None]
-    area_m2 = sum(row.area_m2 or 0.0 for row in placed)
+    measured = [row for row in rows if row.quality != EstimateQuality.NOT_AVAILABLE]
+    area_m2 = sum(row.area_m2 or 0.0 for row in measured)
+    known = last in measured and all(row.area_m2 is not None for row in rows)
     return {
         "mass_flow_kg_s": last.mass_flow_kg_s if last is not None else None,
         "std_dev_kg_s": last.std_dev_kg_s if last is not None else None,
         "quality": EstimateQuality(last.quality).name.lower() if last is not None else None,
-        "yield_kg_m2": crop_yield_kg_m2(sum(row.mass_kg for row in placed), area_m2) if len(placed) == len(rows) else None,
+        "yield_kg_m2": crop_yield_kg_m2(sum(row.mass_kg for row in measured), area_m2) if known else None,
         "area_missing_because": area_unknown_because or None,
         "moisture_pct": last.moisture_pct if last is not None else None,
         "ground_speed_m_s": last.ground_speed_m_s if last is not None else None,

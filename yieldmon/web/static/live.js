@@ -2,7 +2,7 @@
 
 import { BandChart } from "./chart.js";
 import { FieldMap } from "./map.js";
-import { amount, command, getJson, getPoints, inUnit, make, number, set, time, words } from "./ui.js";
+import { amount, command, getJson, getPoints, inUnit, make, number, set, time, typedMass, words } from "./ui.js";
 
 const HOUR = 3600;
 const RETRY_MS = 3000;
@@ -84,8 +84,10 @@ function show() {
   const area = load.area_m2 ? `${amount(load.area_m2, units.area)} ${units.area.name}` : "";
   const names = [load.field, load.crop, area].filter(Boolean).join(", ");
   const grain = ["harvesting", "sweeping"].includes(state.state);
-  const ended = grain ? " (ended: grain counts only in the total)" : " (ended)";
-  set("load-name", `Load ${load.number}${load.open ? "" : ended}${names ? `: ${names}` : ""}`);
+  const lost = grain && !load.open;
+  set("load-name", `Load ${load.number}${load.open ? "" : " (ended)"}${names ? `: ${names}` : ""}`);
+  set("load-note", lost ? "Grain counts only in the total" : "");
+  document.getElementById("load-tile").classList.toggle("warning", lost);
   set("load", mass(load.mass_kg));
   set("load-band", load.std_dev_kg === null ? "" : `± ${mass(load.std_dev_kg)}`);
   set("total", amount(state.total.mass_kg, units.total));
@@ -261,7 +263,7 @@ function requestOf(dialog) {
   }
   for (const name of ["mass", "other", "other_std_dev"]) {
     if (!(name in request)) continue;
-    request[`${name}_kg`] = Number(request[name]) * units.mass.si;
+    request[`${name}_kg`] = typedMass(request[name], units.mass) * units.mass.si;
     delete request[name];
   }
   if (["load-start", "load-stop"].includes(request.command)) request.shown_load = Number(dialog.dataset.load);
@@ -300,13 +302,21 @@ async function prepareTicket(dialog) {
     const { loads } = await getJson("/api/history");
     const compare = () => {
       const [first, last] = ["first_load", "last_load"].map((name) => Number(form[name].value));
-      const weighed = (Number(form.mass.value) - Number(form.other.value)) * units.mass.si;
+      let weighed;
+      try {
+        const [whole, other] = [form.mass, form.other].map(({ value }) => (value.trim() ? typedMass(value, units.mass) : 0));
+        weighed = (whole - other) * units.mass.si;
+      } catch (error) {
+        text.textContent = error.message;
+        return;
+      }
       const covered = loads.filter((load) => first <= load.number && load.number <= last);
       const measured = covered.reduce((sum, load) => sum + load.mass_kg, 0);
       const known = covered.reduce((sum, load) => sum + (load.posted_mass_kg ?? load.mass_kg), 0);
       const change = measured > 0 && weighed > 0 ? 100 * (weighed / measured - 1) : null;
       const doubt = change !== null && Math.abs(100 * (weighed / known - 1)) > UNLIKELY_PCT ? " Is that the right load and unit?" : "";
-      text.textContent = `Measured ${mass(measured)} ${units.mass.name}${change === null ? "" : `: ${number(change, 1)} %`}.${doubt}`;
+      const against = change === null ? "" : `, weighed ${mass(weighed)} ${units.mass.name}: ${number(change, 1)} %`;
+      text.textContent = `Measured ${mass(measured)} ${units.mass.name}${against}.${doubt}`;
     };
     form.oninput = compare;
     compare();
@@ -351,6 +361,7 @@ function prepareButtons() {
       try {
         const answer = await command(requestOf(dialog));
         set("answer", answerOf(dialog.dataset.command, answer));
+        set("answer-time", time(Date.now() / 1000).slice(-5));
         dialog.close();
       } catch (error) {
         dialog.querySelector(".problem").textContent = error.message;

@@ -57,6 +57,24 @@ export function withDeviation({ value, std_dev: deviation }) {
   return `${number(value, decimals)} ± ${number(deviation, decimals)}`;
 }
 
+// Numbers with marks between thousands: 41,222 as the page shows them, 41.222,5 and 41 222,5 as others write them.
+const IN_THOUSANDS = [
+  [/^[1-9]\d{0,2}(,\d{3})+(\.\d+)?$/, /,/g],
+  [/^[1-9]\d{0,2}(\.\d{3})+(,\d+)?$/, /\./g],
+  [/^[1-9]\d{0,2}([\s'’]\d{3})+([.,]\d+)?$/, /[\s'’]/g],
+];
+const EITHER = /^[1-9]\d{0,2}\.\d{3}$/;
+
+// A mass as people type it, in a unit of the page. The browser's own kind of input for numbers drops commas: 190,5 is 1905 there.
+export function typedMass(text, unit) {
+  const typed = text.trim();
+  if (EITHER.test(typed)) throw new Error(`${typed} can be ${typed.replace(".", "")} or ${Number(typed)} ${unit.name}: enter it without the point.`);
+  const marks = IN_THOUSANDS.find(([form]) => form.test(typed))?.[1] ?? "";
+  const plain = typed.replace(marks, "").replace(",", ".");
+  if (!/^\d+(\.\d+)?$/.test(plain)) throw new Error(`"${typed}" is no number of ${unit.name}, such as 9120 or 9120.5.`);
+  return Number(plain);
+}
+
 export function set(id, text) {
   const element = document.getElementById(id);
   if (element.textContent !== text) element.textContent = text;
