@@ -28,10 +28,16 @@ _BEFORE_S, _AFTER_S = 0.03, 0.15
 _APART_S = 0.3
 _RINGING = 0.1
 """Largest rms residual of a fit relative to the tap's height; beyond it the response is not critically damped."""
+_UNLIKE = 0.07
+"""Largest rms residual beyond noise relative to the tap's own rms. Contacts of 2 ms and samples that are averages leave up to
+0.03; a damping of 0.8, or a cell of first order of three samples or more, at least 0.08."""
+_LASTS = 12.0
+"""Time constants after which nothing of a tap is left."""
 _OUTLIER_SDS, _LEAST_SPREAD = 4.0, 0.01
 _CONTACT_SD_S = 4.6e-4
 """Standard deviation of time within a force of 2 ms, about the longest contact of a tap."""
-_LEFT_OUT = ("beyond the sensor's range", "too close to another", "unlike the others")
+_CUT_OFF = "cut off by a gap in the samples or the log's end"
+_LEFT_OUT = ("beyond the sensor's range", "too close to another", _CUT_OFF, "unlike the others")
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,8 @@ class TapResponse:
     misfit : float
         Median rms residual of the fits relative to the taps' height.
     refused : str
-        Why the time constant must not be used, with the frequency of ringing; "" if it can be used.
+        Why the time constant must not be used: the response is another than the model's, or faster than the samples; "" if it
+        can be used.
     """
 
     response_s: float
@@ -86,9 +93,9 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     for samples in stretches:
         taps += _taps(samples, interval_s, full_scale_mv, left_out)
     if len(taps) < LEAST_TAPS:
-        raise ValueError(f"{len(taps)} taps that count{_said(left_out)}")
+        raise ValueError(f"{len(taps)} taps that count{_said(left_out) or _weakness(stretches, len(taps))}")
     fits = [_fitted(tap, interval_s) for tap in taps]
-    logs, misfits = np.array([fit[0] for fit in fits]), np.array([fit[1] for fit in fits])
+    logs, misfits = np.array([fit.log_response for fit in fits]), np.array([fit.misfit for fit in fits])
     spread = SD_PER_MAD * np.median(np.abs(logs - np.median(logs)))
     counted = np.abs(logs - np.median(logs)) <= _OUTLIER_SDS * max(spread, _LEAST_SPREAD)
     left_out["unlike the others"] += int((~counted).sum())
@@ -100,10 +107,15 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
     # The variance in time of the impulse response is 2 tau^2, and that of the contact is added to it.
     std_dev = float(np.hypot(scatter_s, _CONTACT_SD_S**2 / (4.0 * found)))
     if misfit > _RINGING:
-        ringing_hz = _strongest_hz([fit[2] for fit, ok in zip(fits, counted, strict=True) if ok], interval_s)
+        ringing_hz = _strongest_hz([fit.left for fit, ok in zip(fits, counted, strict=True) if ok], interval_s)
         refused = (
             f"plate and cell do not answer a tap as a critically damped cell does: {100.0 * misfit:.0f} % of its height is left, "
             f"most of that at {ringing_hz:.0f} Hz"
+        )
+    elif (unlike := _unlike([fit for fit, ok in zip(fits, counted, strict=True) if ok], interval_s)) > _UNLIKE:
+        refused = (
+            f"plate and cell do not answer a tap as a critically damped cell does: {100.0 * unlike:.0f} % of the answer (rms) is "
+            "left, so the damping is another or the blow too long"
         )
     elif found < interval_s:
         refused = f"plate and cell answer within a sample of {1e3 * interval_s:g} ms: faster samples would show it"
@@ -113,12 +125,10 @@ def tap_response(stretches: Sequence[Array], interval_s: float, *, full_scale_mv
 def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dict[str, int]) -> list[Array]:
     """Samples around each usable tap, relative to the rest value and with positive sign."""
     before, after, apart = (round(s / interval_s) for s in (_BEFORE_S, _AFTER_S, _APART_S))
-    if samples.size <= before + after:
+    if samples.size < before:
         return []
-    rest = float(np.median(samples))
-    away = samples - rest
-    noise = SD_PER_MAD * float(np.median(np.abs(away)))
-    above = np.flatnonzero(np.abs(away) > _CLEAR * max(noise, 1e-9 + 1e-6 * float(np.ptp(samples))))
+    away = samples - float(np.median(samples))
+    above = np.flatnonzero(np.abs(away) > _clear_mv(samples))
     if not above.size:
         return []
     groups = np.split(above, np.flatnonzero(np.diff(above) > before) + 1)
@@ -126,11 +136,11 @@ def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dic
     found = []
     for i, begin in enumerate(begins):
         window = slice(begin - before, begin + after)
-        if window.start < 0 or window.stop > samples.size:
-            continue
         near = [other for j, other in enumerate(begins) if j != i and abs(other - begin) < apart]
         if near:
             left_out["too close to another"] += 1
+        elif window.start < 0 or window.stop > samples.size:
+            left_out[_CUT_OFF] += 1
         elif np.max(samples[window]) >= full_scale_mv:
             left_out["beyond the sensor's range"] += 1
         else:
@@ -139,8 +149,35 @@ def _taps(samples: Array, interval_s: float, full_scale_mv: float, left_out: dic
     return found
 
 
-def _fitted(tap: Array, interval_s: float) -> tuple[float, float, Array]:
-    """ln time constant, relative rms residual, and relative residuals (k,) of one tap."""
+def _clear_mv(samples: Array) -> float:
+    """Least distance from rest of a tap, mV."""
+    noise = SD_PER_MAD * float(np.median(np.abs(samples - np.median(samples))))
+    return _CLEAR * max(noise, 1e-9 + 1e-6 * float(np.ptp(samples)))
+
+
+def _weakness(stretches: Sequence[Array], taps: int) -> str:
+    """By how much the longest stretch has no tap, where its voltage moves."""
+    longest = max(stretches, key=len)
+    if taps or not np.ptp(longest):
+        return ""
+    largest, needed = float(np.max(np.abs(longest - np.median(longest)))), _clear_mv(longest)
+    return (
+        f"; no sample is further than {largest:.1f} mV from rest, and {needed:.1f} mV is {_CLEAR:.0f} times the noise and drift"
+    )
+
+
+@dataclass(frozen=True)
+class _TapFit:
+    """One tap's fit: ln time constant; rms residual, tap and residuals (k,), relative to its height; begin: its first sample."""
+
+    log_response: float
+    misfit: float
+    tap: Array
+    left: Array
+    begin: int
+
+
+def _fitted(tap: Array, interval_s: float) -> _TapFit:
     times = np.arange(tap.size) * interval_s
     peak = int(np.argmax(tap))
     height = float(tap[peak])
@@ -162,7 +199,24 @@ def _fitted(tap: Array, interval_s: float) -> tuple[float, float, Array]:
             best = fit
     assert best is not None, "there is a start"
     rest = left(best.x)
-    return float(best.x[0]), float(np.sqrt(np.mean(rest[tap.size // 10 : tap.size // 2] ** 2))), rest
+    misfit = float(np.sqrt(np.mean(rest[tap.size // 10 : tap.size // 2] ** 2)))
+    return _TapFit(float(best.x[0]), misfit, tap / height, rest, begun)
+
+
+def _unlike(fits: Sequence[_TapFit], interval_s: float) -> float:
+    """Rms residual of the taps relative to their rms, less what noise leaves with two deviations."""
+    left, felt, during, quiet = 0.0, 0.0, 0, []
+    for fit in fits:
+        begin = max(fit.begin - 2, 0)
+        lasts = slice(begin, begin + 4 + round(_LASTS * np.exp(fit.log_response) / interval_s))
+        left += float(np.sum(fit.left[lasts] ** 2))
+        felt += float(np.sum(fit.tap[lasts] ** 2))
+        during += fit.left[lasts].size
+        quiet.append(fit.left[: begin // 2])
+    rest = np.concatenate(quiet)
+    noise = float(np.mean(rest**2)) if rest.size else 0.0
+    chance = 2.0 * noise * (2.0 * during * (1.0 + during / max(rest.size, 1))) ** 0.5
+    return float(np.sqrt(max(left - noise * during - chance, 0.0) / felt))
 
 
 def _strongest_hz(rests: Sequence[Array], interval_s: float) -> float:
