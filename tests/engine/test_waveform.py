@@ -253,6 +253,23 @@ def test_kernels_are_heard_after_so_many_seconds_of_the_empty_machine_and_of_gra
     assert [verdict is KernelVerdict.TOO_EARLY for verdict, _ in seen] == [True] * len(early) + [False] * (len(seen) - len(early))
 
 
+@pytest.mark.parametrize("noise_mv", [20.0, 40.0])
+def test_an_empty_machine_of_a_noisy_sensor_is_heard_too(noise_mv: float) -> None:
+    """Means of a second are then further from 0 than 1 mV in many seconds."""
+    rng = np.random.default_rng(17)
+    noisy = []
+    for frame in struck(2e-4):
+        samples = [name for name in frame.signals if re.fullmatch(r"Sample\d", name)]
+        moved = {name: frame.signals[name] + noise_mv * rng.normal() for name in samples}
+        noisy.append(frame._replace(signals={**frame.signals, **moved}))
+    waveform = replace(WaveformSettings(), shape=LAW, enabled=True, thousand_kernel_weight_g=350.0, quiet_windows=4)
+    engine = replace(EngineSettings(), sweep=replace(SweepSettings(), enabled=False), waveform=waveform)
+    monitor = Monitor(engine, FAST, OpenLoop(ForwardModel(FAST, PARAMETERS.effects), PARAMETERS))
+    monitor.feed_run(as_run(noisy, kernels=False))
+    assert monitor.waveform is not None
+    assert monitor.waveform.kernels is not KernelVerdict.TOO_EARLY
+
+
 STEPS = (6.0, 14.0, 10.0)
 
 

@@ -25,6 +25,8 @@ from yieldmon.physics.numerics import Array
 
 _APART = 3
 """Windows between grain and a window that counts as the empty machine."""
+_CHANCE_SDS = 4.0
+"""Deviations of a mean by its samples' noise that an empty machine's may be off, in addition to 1 mV; the zero is as noisy."""
 _CHANGING = 0.1
 """Relative change of the mean force between windows above which the pulses of a window are not of one load."""
 
@@ -66,7 +68,8 @@ class KernelChannel:
 
     def empty(self, force_n: Array, interval_s: float, mean_force_n: float) -> None:
         """Add a window of the empty machine; it counts unless grain came shortly before or comes shortly after it."""
-        if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv:
+        chance_n = _CHANCE_SDS * float(np.std(force_n)) / force_n.size**0.5
+        if not abs(mean_force_n) < self._machine.sensor.gain_n_per_mv + chance_n:
             self._waiting.clear()
             return
         self._waiting.append(spectral_density.density(force_n, interval_s, segment=SEGMENT))
