@@ -187,6 +187,21 @@ def test_what_cannot_be_measured_again_is_one_line(capsys, tmp_path, words, said
     assert not (tmp_path / "out.csv").exists()
 
 
+def test_a_log_whose_empty_plate_shakes_like_grain_says_so_and_takes_a_known_zero(capsys, tmp_path) -> None:
+    scenario = tmp_path / "shaken.yaml"
+    scenario.write_text(
+        "{duration_s: 60, sensor: {vibration_paddle_n: 8.0}, flow: {pieces: [{kind: steady, duration_s: 25, flow_kg_s: 0}, "
+        "{kind: steady, duration_s: 35, flow_kg_s: 10}]}}"
+    )
+    log = tmp_path / "shaken.log"
+    assert main(["simulate", "--scenario", str(scenario), "--seed", "417", "--log", str(log)]) == 0
+    capsys.readouterr()
+    _, _, err = process(capsys, tmp_path, log)
+    assert "or its paddles shake the plate too much, so there is no zero; give one with --zero-mv" in err
+    _, _, err = process(capsys, tmp_path, log, "--zero-mv", 500)
+    assert "no mass" not in err
+
+
 def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_zero(capsys, tmp_path, logs) -> None:
     _, _, err = process(capsys, tmp_path, logs["grain"])
     assert "no mass: the elevator never runs empty in the log" in err
