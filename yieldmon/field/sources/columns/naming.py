@@ -14,9 +14,9 @@ from functools import lru_cache
 
 from yieldmon.errors import InputError
 from yieldmon.field.table import Array
-from yieldmon.field.units import BUSHELS, FACTORS, factor, is_unit_of, plain_unit
+from yieldmon.field.units import BUSHELS, FACTORS, factor, is_bushels, is_unit_of, plain_unit
 
-from . import agreeing_units
+from . import agreeing_units, rival_columns
 
 
 @dataclass(frozen=True)
@@ -287,12 +287,38 @@ def columns_of(
         if by_numbers:
             said = ", ".join(f"{column.name} {column.unit}" for column in by_numbers.values())
             notes.append(f"units that no column name states: {said}, chosen so that flow and yield give the same mass")
+    if numbers_of is not None:
+        notes += _contradicting(out, given, found, units, numbers_of)
     if "flow" not in out and "yield" in out and _DRIED.search(plain_name(out["yield"].name)):
         may_be = "may be" if plain_name(out["yield"].name).startswith("vr") else "is"
         notes.append(f"{out['yield'].name} {may_be} of dried grain: so are the masses")
     _check_useful(out, lacking, names, where, width_known=width_known)
     notes += [f"{name} has no unit and is not used" for name in lacking if name not in {column.name for column in out.values()}]
     return out, tuple(notes)
+
+
+def _contradicting(
+    out: Mapping[str, Column],
+    given: Mapping[str, tuple[str, str]],
+    found: Sequence[tuple[str, str, str]],
+    units: Mapping[str, str],
+    numbers_of: Callable[[str], Array],
+) -> tuple[str, ...]:
+    """Notes on other columns of the quantity that the masses come from, where nobody has chosen one."""
+    quantity = next((q for q in ("mass", "flow", "yield") if q in out), "")
+    if quantity not in ("flow", "yield") or quantity in given:
+        return ()
+    facts, used = QUANTITIES[quantity], out[quantity]
+    if is_bushels(used.unit, facts.kind):
+        return ()
+    others = []
+    for name, bare, own in found:
+        unit = units.get(name, "") or own
+        called = any(_is_called(wanted, name, bare) for wanted in facts.names)
+        if name != used.name and called and unit and is_unit_of(unit, facts.kind) and not is_bushels(unit, facts.kind):
+            dried = bool(_DRIED.search(plain_name(name))) != bool(_DRIED.search(plain_name(used.name)))
+            others.append((name, factor(unit, facts.kind, name), dried))
+    return rival_columns.contradiction(quantity, (used.name, factor(used.unit, facts.kind, used.name)), others, numbers_of)
 
 
 def _given_columns(
