@@ -131,3 +131,48 @@ def test_an_answer_says_when_it_was_given(browser: Browser, daemon: StandIn, sit
         dialog_of(watched, "End load").get_by_role("button", name="End load").click()
         watched.wait(ASKED)
         assert watched.page.inner_text(".answer") == "14:05 Load 1 ended: 1 kg."
+
+
+def test_a_silent_bus_is_told_at_a_glance(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(20)
+        status, frames_per_s = daemon.status, [300.0]
+
+        def heard() -> dict[str, Any]:
+            document = status()
+            document["state"] = "harvesting" if frames_per_s[0] else "fault"
+            document["bus"]["frames_per_s"] = frames_per_s[0]
+            return document
+
+        monkeypatch.setattr(daemon, "status", heard)
+        with page(daemon.socket) as site, Watched(browser, PHONE) as watched:
+            watched.page.goto(site)
+            watched.wait("document.getElementById('state').textContent === 'harvesting'")
+            frames_per_s[0] = 0.0
+            watched.wait("document.getElementById('state').textContent === 'fault: no frames on the bus'")
+            assert watched.evaluate("document.body.classList.contains('stale')")
+            frames_per_s[0] = 300.0
+            watched.wait("document.getElementById('state').textContent === 'harvesting'")
+            assert not watched.evaluate("document.body.classList.contains('stale')")
+
+
+@pytest.mark.parametrize(("zero_mv", "uncounted"), [(None, " Until then no mass is counted."), (500.0, "")])
+def test_what_the_zero_waits_for_is_told(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, zero_mv: float | None, uncounted: str
+) -> None:
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(20)
+        status, waits = daemon.status, ["the elevator running empty: 0 of 5 s"]
+
+        def zeroing() -> dict[str, Any]:
+            return {**status(), "state": "zeroing", "zero_mv": zero_mv, "zero_waits_for": waits[0] or None}
+
+        monkeypatch.setattr(daemon, "status", zeroing)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait("document.getElementById('state').textContent === 'zeroing'")
+            watched.wait("document.querySelector('.fault') !== null")
+            said = f"The zero waits for the elevator running empty: 0 of 5 s.{uncounted}"
+            assert watched.page.inner_text("#faults") == said
+            waits[0] = ""
+            watched.wait("document.querySelector('.fault') === null")

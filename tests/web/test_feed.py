@@ -83,6 +83,29 @@ def test_a_page_that_comes_back_gets_what_it_missed(daemon: StandIn) -> None:
     asyncio.run(drive())
 
 
+@pytest.mark.parametrize(("has", "begins", "gets"), [(90, False, range(91, 101)), (5000, True, range(1, 101))])
+def test_a_page_that_comes_back_before_the_daemon_gets_each_second_once(
+    tmp_path: Path, has: int, begins: bool, gets: range
+) -> None:
+    daemon = StandIn(tmp_path)
+    daemon.seconds(100)
+
+    async def drive() -> None:
+        async with aclosing(Feed(daemon.socket).watch(after=has)) as events:
+            event = await next_event(events)
+            assert "no daemon answers" in event["problem"]
+            assert event["id"] == 0
+            daemon.start()
+            event = await next_event(events)
+            assert event["begins"] is begins
+            assert numbers(event) == list(gets)
+
+    try:
+        asyncio.run(drive())
+    finally:
+        daemon.stop()
+
+
 def test_many_pages_cost_the_daemon_no_more_than_one(daemon: StandIn) -> None:
     daemon.seconds(5)
 

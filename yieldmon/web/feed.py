@@ -130,6 +130,10 @@ class Feed:
                 if self._stopping:
                     return
                 self._keep_looking()
+                if self._state["problem"]:
+                    # What the page has stays its own until there are seconds again.
+                    yield _event(None, self._state)
+                    continue
                 newest = self._newest
                 begins = generation not in (None, self._generation) or sent > newest
                 rows = [row for row in self._rows if begins or _number(row) > sent]
@@ -143,8 +147,7 @@ class Feed:
         if self._looking is None or since_s < _HANGS_S:
             return "event: alive\ndata: 1\n\n"
         self._hang_reported = True
-        problem = f"this page has been waiting for the daemon and its store for {since_s:.0f} s"
-        return f"event: live\ndata: {json.dumps({'problem': problem})}\n\n"
+        return _event(None, {"problem": f"this page has been waiting for the daemon and its store for {since_s:.0f} s"})
 
     async def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The daemon's answer to a request of a page. Raises ControlError."""
@@ -247,7 +250,9 @@ def _stored(path: Path, first: int) -> list[Row]:
 def _shown(status: Mapping[str, Any]) -> dict[str, Any]:
     parts = {name: {key: status[name].get(key) for key in keys} for name, keys in _SHOWN_OF.items()}
     now = {**status["windows"][-1], "yield_kg_m2": status.get("now", {}).get("yield_kg_m2")} if status["windows"] else None
-    shown = in_units({name: status[name] for name in _SHOWN}, texts_of_status(status))
+    shown = in_units(
+        {"zero_waits_for": status.get("zero_waits_for"), **{name: status[name] for name in _SHOWN}}, texts_of_status(status)
+    )
     # Those of the status hold grain, or are open.
     complete = [load["number"] for load in status.get("loads", ()) if load["number"] != _open_load(status)]
     last = complete[-1] if complete else None
@@ -271,5 +276,7 @@ def _number(row: Row) -> int:
     return int(row[0] or 0)
 
 
-def _event(number: int, document: Mapping[str, Any]) -> str:
-    return f"id: {number}\nevent: live\ndata: {json.dumps(document, separators=(',', ':'))}\n\n"
+def _event(number: int | None, document: Mapping[str, Any]) -> str:
+    """number: of the last second in it, None where it has none."""
+    identifier = "" if number is None else f"id: {number}\n"
+    return f"{identifier}event: live\ndata: {json.dumps(document, separators=(',', ':'))}\n\n"

@@ -10,7 +10,9 @@ from yieldmon.files.units import units_of
 from yieldmon.units import KG_PER_LB, KG_PER_T, S_PER_H, Unit, Units, UnitSystem
 
 #: What a daemon says to people, by its names in documents.
-SENTENCES = frozenset({"detail", "question", "why_no_reference", "why", "reason", "last_update", "update_kept_because"})
+SENTENCES = frozenset(
+    {"detail", "question", "why_no_reference", "why", "reason", "last_update", "update_kept_because", "zero_waits_for"}
+)
 
 
 def in_units(document: Any, units: Units) -> Any:

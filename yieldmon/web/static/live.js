@@ -104,7 +104,8 @@ function show() {
 }
 
 function showFaults() {
-  const text = JSON.stringify(state.faults.map((fault) => [fault.code, fault.detail]));
+  const waits = state.zero_waits_for;
+  const text = JSON.stringify([waits, state.zero_mv === null, state.faults.map((fault) => [fault.code, fault.detail])]);
   if (text === shownFaults) return;
   shownFaults = text;
   document.getElementById("faults").replaceChildren(...state.faults.map((fault) => {
@@ -112,6 +113,9 @@ function showFaults() {
     line.append(make("strong", fault.code + (fault.detail ? ` (${fault.detail})` : "")), ` ${fault.effect} ${fault.remedy}`);
     return line;
   }));
+  if (!waits) return;
+  const uncounted = state.zero_mv === null ? " Until then no mass is counted." : "";
+  document.getElementById("faults").append(make("p", `The zero waits for ${waits}.${uncounted}`, "fault"));
 }
 
 function showState(text, bad) {
@@ -195,7 +199,8 @@ function live(event) {
     news.rows.forEach(mapRow);
     map.show();
   }
-  say(news.stale ? `stale for ${number(news.age_s)} s` : words(news.state), news.stale);
+  const silent = news.bus.frames_per_s === 0 ? ": no frames on the bus" : "";
+  say(news.stale ? `stale for ${number(news.age_s)} s` : words(news.state) + silent, news.stale || silent !== "");
   show();
 }
 
