@@ -52,7 +52,9 @@ def test_every_key_does_on_the_daemon_what_it_asks(tmp_path) -> None:
         bench.play(5, 60.0)
         bench.played()
         assert bench.status["load"]["number"] == 2
-        assert cab.press("z", "y").startswith("zero: there is grain")
+        refusal = cab.press("z", "y")
+        assert refusal.startswith("zero: there is grain")
+        assert refusal.endswith("`yieldmon zero --force` if it does")
         assert cab.press("t", *"2 50kg", "\r", "y").startswith("ticket for load 2: it is still open")
         assert cab.press("l", "s", "y") == "load 2 complete"
         measured_kg = bench.status["load"]["mass_kg"]

@@ -120,9 +120,9 @@ def test_a_refusal_names_the_pages_buttons(daemon: StandIn, clock: Clock) -> Non
     daemon.refuses = "no load is open; expected one that `yieldmon load start` began"
     refusal = client(daemon, clock).post("/api/command", json={"command": "sweep-start"})
     assert refusal.json()["error"] == "sweep-start: no load is open; expected one that New load began"
-    daemon.refuses = "there is grain; expected the elevator running empty; --force if it does"
+    daemon.refuses = "there is grain; expected the elevator running empty; `yieldmon zero --force` if it does"
     refusal = client(daemon, clock).post("/api/command", json={"command": "zero"})
-    assert refusal.json()["error"].endswith("; if it does: `yieldmon zero --force` on the monitor's computer")
+    assert refusal.json()["error"].endswith("; `yieldmon zero --force` on the monitor's computer if it does")
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ _ABOUT_A_LOAD = frozenset({"load-start", "load-stop"})
 #: What a refusal says of the command line -> the page's button.
 _BUTTONS: Mapping[str, str] = {
     "(--other)": "(field Other combine)",
-    "; --force if it does": "; if it does: `yieldmon zero --force` on the monitor's computer",
+    "`yieldmon zero --force`": "`yieldmon zero --force` on the monitor's computer",
     "`yieldmon load start`": "New load",
     "`yieldmon load stop`": "End load",
     "`yieldmon load correct`": "Wrong crop",

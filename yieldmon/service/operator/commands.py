@@ -239,9 +239,9 @@ def _zero(order: Order) -> ZeroStarted:
     signs, against = monitor.signs_of_grain, monitor.signs_against_zero
     force = order.request.flag("force")
     if against and not force:
-        raise InputError("zero", f"there is grain: {against}", "the elevator running empty; --force if it does")
+        raise InputError("zero", f"there is grain: {against}", "the elevator running empty; `yieldmon zero --force` if it does")
     if signs and not force:
-        expected = "nothing on the plate; --force if it is clean, as after a change of the sensor"
+        expected = "nothing on the plate; `yieldmon zero --force` if it is clean, as after a change of the sensor"
         raise InputError("zero", f"{signs}, without the paddle pulses of grain", expected)
     goes_on = monitor.calibrate_zero(despite_signs=force)
     order.journal.zero(order.who, against, order.now_s, goes_on=goes_on)
