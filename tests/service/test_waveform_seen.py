@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.bench import running
+from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.service.assembly import build_monitor
@@ -73,6 +74,18 @@ def test_status_and_records_say_what_there_is_and_why_the_rest_is_missing(tmp_pa
     assert rows[-1]["mean_force_flow_kg_s"] > 0.0
     assert {"shape_volume_flow_m3_s", "shape_verdict", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])
     assert rows[-1]["thousand_kernel_weight_g"] == 300.0
+
+
+def test_before_the_first_second_status_says_that_none_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with running(tmp_path, ON) as bench:
+        assert bench.status["waveform"]["kernel_verdict"] == "not_looked_at"
+        assert main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+    rows = [
+        line.split(maxsplit=1)[1].strip()
+        for line in capsys.readouterr().out.splitlines()
+        if line.startswith(("shape ", "kernels "))
+    ]
+    assert rows == ["no flow: no second has been measured yet"] * 2
 
 
 @pytest.mark.parametrize(("weight_g", "said"), [("0.35", "0, or from 1 g"), ("350000", "0 to 2000 g"), ("-5", "0 to 2000 g")])

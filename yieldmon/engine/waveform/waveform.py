@@ -22,7 +22,7 @@ from yieldmon.engine.waveform.heap_slopes import HeapSlopes
 from yieldmon.engine.waveform.kernel_channel import KernelChannel
 from yieldmon.engine.waveform.pulse_fits import PulseFits
 from yieldmon.engine.waveform.shape_difference import NO_FIT
-from yieldmon.engine.waveform.waveform_reading import NOTHING, WaveformReading
+from yieldmon.engine.waveform.waveform_reading import WaveformReading
 from yieldmon.engine.waveform.window_noise import SEGMENT
 from yieldmon.estimation.self_calibration.sweep_worth import OtherChannels
 from yieldmon.estimation.waveform.channel_combination import combine, relative_covariance
@@ -42,6 +42,7 @@ def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = Kernel
     return WaveformReading(shape=verdict, shape_reason=reason, kernels=kernels, kernels_reason=reason)
 
 
+_NO_WINDOW = "no second has been measured yet"
 _NO_TRACE = "samples are missing, or more than one sensor carries the plate"
 _NO_ZERO = "no zero-load voltage, or the sensor is out of range"
 _NO_GRAIN = "no grain"
@@ -57,7 +58,7 @@ class Waveform:
     def __init__(self, settings: WaveformSettings, machine: Machine) -> None:
         self.kernel_weight_g = settings.thousand_kernel_weight_g
         """Mass of a thousand kernels as last entered, g; 0: not known. A received value takes precedence."""
-        self.last = NOTHING
+        self.last = _without(ShapeVerdict.NOT_LOOKED_AT, _NO_WINDOW, KernelVerdict.NOT_LOOKED_AT)
         self._settings = settings
         self._machine = machine
         self._kernel_channel = KernelChannel(settings, machine)
