@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,31 @@ def test_the_shape_of_weighed_loads_gives_the_flow_of_a_load_left_out(loads, tmp
     by_shape, by_force = (sum(row[name] for row in rows) for name in ("shape_flow_kg_s", "mean_force_flow_kg_s"))
     assert len(rows) >= 8
     assert by_shape == pytest.approx(by_force, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("factors", "said"),
+    [
+        ((1.0, 1.0, 1.0), None),
+        (
+            (2.2046, 2.2046, 2.2046),
+            r"^the loads weigh \+1\d\d\.\d\d % against what was measured, which is a lot: are the tickets in",
+        ),
+        ((1.0, 1.0, 1.3), r"^load 3 weighs 1\.[23]\d times what the mean force makes of it beside the others: check its ticket$"),
+    ],
+    ids=["right", "pounds", "one ticket wrong"],
+)
+def test_tickets_that_the_mean_force_doubts_are_told(factors, said, loads, tmp_path, capsys) -> None:
+    logs, tickets = loads
+    heading, *rows = Path(tickets).read_text().splitlines()
+    masses = [row.split(",") for row in rows]
+    wrong = [f"{load},{factor * float(mass):.1f}" for (load, mass), factor in zip(masses, factors, strict=True)]
+    (tmp_path / "t.csv").write_text("\n".join([heading, *wrong]) + "\n")
+    main(["calibrate", "--pulse-shape", "--loads", *logs, "--tickets", str(tmp_path / "t.csv"), "--json"])
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert len(notes) == (said is not None)
+    if said is not None:
+        assert re.search(said, notes[0])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
+import statistics
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +14,13 @@ from yieldmon.cli import _by_loads, _calibrate_options
 from yieldmon.documents.calibrate import PulseShapeDocument
 from yieldmon.errors import InputError
 from yieldmon.estimation.waveform.machine_shape import MachineShape, calibrate_machine_shape
+from yieldmon.estimation.weighing.load_outcome import is_a_lot, scale_sentence
 from yieldmon.files import pulse_shape_file, ticket_file, whole_file
 from yieldmon.physics.machine import RPM
+
+_DOUBTFUL = 0.15
+"""Difference of ln(weighed / measured) of a load from that of the others beyond which its ticket is doubted; curves of the mean
+force over the flow are off by less."""
 
 
 def run(args: argparse.Namespace) -> PulseShapeDocument:
@@ -35,6 +43,7 @@ def run(args: argparse.Namespace) -> PulseShapeDocument:
     except ValueError as error:
         raise InputError(", ".join(args.loads), str(error), "loads at flows that differ, sampled at 300 Hz or more") from error
     document = report(found, weighed.biases, args)
+    document["notes"] = notes(weighed.scales)
     if args.out is not None and not found.refused:
         source = f"{len(found.loads)} weighed loads, {', '.join(Path(log).name for log in args.loads)}"
         pulse_shape_file.save(found.law, args.out, source=source)
@@ -62,8 +71,23 @@ def report(found: MachineShape, biases: dict[str, float], args: argparse.Namespa
         "elevator_speed_rpm": [speed / RPM for speed in law.elevator_speeds_rad_s],
         "kernel_bias": float(values.mean()) if values.size else None,
         "kernel_bias_std_dev": float(values.std(ddof=1)) if values.size > 1 else None,
+        "notes": [],
         "refused": found.refused,
     }  # fmt: skip
+
+
+def notes(scales: Mapping[str, float]) -> list[str]:
+    """Sentences on tickets that the mean force doubts. scales: weighed over measured by it, by load.
+
+    The mean force's curve over the flow may be off, so a ticket is doubted by it, not left out.
+    """
+    usual = statistics.median(scales.values())
+    apart = {load: scale / usual for load, scale in scales.items() if abs(math.log(scale / usual)) > _DOUBTFUL}
+    said = [
+        f"load {load} weighs {ratio:.2f} times what the mean force makes of it beside the others: check its ticket"
+        for load, ratio in apart.items()
+    ]
+    return said + ([scale_sentence(usual)] if is_a_lot(usual) else [])
 
 
 def text(document: PulseShapeDocument) -> str:
@@ -83,6 +107,7 @@ def text(document: PulseShapeDocument) -> str:
         spread = document["kernel_bias_std_dev"]
         around = "" if spread is None else f" ± {spread:.3f}"
         lines.append(f"kernel noise agrees with the weighed loads at waveform.kernel_bias {document['kernel_bias']:.3f}{around}")
+    lines += [f"- {note}" for note in document["notes"]]
     if document["refused"]:
         lines.append(f"refused: {document['refused']}")
     if "written" in document:

@@ -171,6 +171,7 @@ class PulseShapeDocument(TypedDict):
     elevator_speed_rpm: list[float]
     kernel_bias: Number
     kernel_bias_std_dev: Number
+    notes: list[str]
     refused: str
     written: NotRequired[str]
 

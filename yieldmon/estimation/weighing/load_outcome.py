@@ -273,9 +273,18 @@ def _refused(found: LoadCalibration) -> list[str]:
 def _scale(found: LoadCalibration) -> str:
     if not isfinite(found.scale):
         return "with the parameters before, a load held more force than a full paddle gives: it was not measured whole."
-    a_lot = abs(log(found.scale)) > _A_LOT
-    question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if a_lot else "."
-    return f"the loads weigh {100.0 * (found.scale - 1.0):+.2f} % against what was measured{question}"
+    return scale_sentence(found.scale)
+
+
+def scale_sentence(scale: float) -> str:
+    """Sentence on what loads weigh against what was measured, a question where that is a lot. scale: weighed over measured."""
+    question = ", which is a lot: are the tickets in the unit of their column, and of these loads?" if is_a_lot(scale) else "."
+    return f"the loads weigh {100.0 * (scale - 1.0):+.2f} % against what was measured{question}"
+
+
+def is_a_lot(scale: float) -> bool:
+    """Whether weighed over measured is so far from 1 that the tickets are doubtful."""
+    return abs(log(scale)) > _A_LOT
 
 
 def curve_sentence(found: LoadCalibration) -> str:

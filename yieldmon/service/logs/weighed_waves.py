@@ -93,9 +93,11 @@ def pulses(configured: Configuration) -> PulseModel:
 
 @dataclass(frozen=True)
 class WeighedShapes:
-    """waves: of all weighed loads. biases: by load, the `waveform.kernel_bias` with which kernel noise gives its weighed mass."""
+    """waves: of all weighed loads. scales: by load, its weighed mass over that by the mean force. biases: by load, the
+    `waveform.kernel_bias` with which kernel noise gives its weighed mass."""
 
     waves: tuple[WeighedWave, ...]
+    scales: dict[str, float]
     biases: dict[str, float]
 
 
@@ -105,15 +107,16 @@ def match(loads: Sequence[WavedLoad], tickets: Sequence[WeighedTicket], configur
     by_name = {item.load.name: item for item in loads}
     density, bias = configured.parameters.values["density"], configured.engine.waveform.kernel_bias
     waves: list[WeighedWave] = []
+    scales: dict[str, float] = {}
     biases: dict[str, float] = {}
     for ticket, loads_of_ticket in each_on_one(measured, tickets):
         covered = [by_name[load.name] for load in loads_of_ticket]
         name = ticket.name
-        scale = ticket.mass_kg / sum(item.load.mass_kg for item in covered)
+        scale = scales[name] = ticket.mass_kg / sum(item.load.mass_kg for item in covered)
         seconds = [pair for item in covered for pair in item.waves]
         waves += [WeighedWave(name, wave, scale * row.mean_force_flow_kg_s / density) for row, wave in seconds]
         by_both = np.array([(r.kernel_flow_kg_s, r.mean_force_flow_kg_s) for r, _ in seconds if r.kernel_flow_kg_s is not None])
         if len(by_both):
             by_kernels, by_force = by_both.sum(axis=0)
             biases[name] = float(bias * scale * by_force / by_kernels)
-    return WeighedShapes(tuple(waves), biases)
+    return WeighedShapes(tuple(waves), scales, biases)
