@@ -175,7 +175,9 @@ def test_frames_of_can_fd_that_are_not_sent_are_counted(
     summary = json.loads(capsys.readouterr().out)
     assert (summary["frames"], summary.get("fd_not_sent")) == (sent, not_sent)
     assert main(given) == 0
-    assert (f"; {not_sent} CAN FD frames not sent" in capsys.readouterr().out) is (not_sent is not None)
+    assert (f"; {not_sent} CAN FD frame{'s' if not_sent != 1 else ''} not sent" in capsys.readouterr().out) is (
+        not_sent is not None
+    )
     log.write_text("(1.0) can0 18FF8000##10102\n")
     assert main(given) == (0 if "--fd" in options else 2)
     assert ("no frame to send but 1 of CAN FD; expected --fd" in capsys.readouterr().err) is ("--fd" not in options)

@@ -18,7 +18,7 @@ from yieldmon.engine.health import conditions
 from yieldmon.engine.measurement import Reading
 from yieldmon.engine.sampling.zero import ZeroRefusal
 from yieldmon.engine.settings import EngineSettings
-from yieldmon.engine.waveform.waveform import NOTHING
+from yieldmon.engine.waveform.waveform_reading import NOTHING
 from yieldmon.estimation.open_loop import FlowStatus
 from yieldmon.frames import ScaleStatus
 from yieldmon.physics.machine import RPM

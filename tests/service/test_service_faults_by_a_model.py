@@ -56,7 +56,7 @@ class Plain:
         elif kind is KIND.BUS_RESTARTED:
             self.held["bus-off"] = until_s, said
         elif kind is KIND.FRAMES_DROPPED:
-            self.held["dropped"] = until_s, f"{count} frames: {detail}"
+            self.held["dropped"] = until_s, f"{count} frame{'s' if count > 1 else ''}: {detail}"
         else:
             self.held["errors"] = until_s, said
 
