@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 CAB, OFFICE = {"width": 1024, "height": 600}, {"width": 1920, "height": 1080}
+READY = "!document.getElementById('buttons').hidden && document.getElementById('load-name').textContent !== 'Load'"
+"""The live page has its buttons and a load."""
+ASKED = "!document.querySelector('dialog[open]') || document.querySelector('dialog[open] .problem').textContent !== ''"
+"""A dialog is closed, or says what is wrong."""
 
 
 def chromium() -> str | None:

@@ -10,7 +10,6 @@ import sqlite3
 import struct
 import threading
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 
 from tests.service.bench import running
-from tests.web.browser import CAB, OFFICE, Watched, chromium, opened
+from tests.web.browser import ASKED, CAB, OFFICE, READY, Watched, chromium
 from tests.web.standin import StandIn, fault, page, standing_in
 from yieldmon.files import parameter_file
 from yieldmon.service.operator.control_client import ask as ask_daemon
@@ -34,28 +33,7 @@ AXE = (Path(__file__).parent / "data" / "axe.min.js").read_text(encoding="utf-8"
 TOKEN = "correct-horse-battery"
 MARKUP = "<img src=x onerror=\"document.title='run'\"><b>&amp;"
 TEXT = "(document.body?.innerText ?? '')"
-READY = "!document.getElementById('buttons').hidden && document.getElementById('load-name').textContent !== 'Load'"
-ASKED = "!document.querySelector('dialog[open]') || document.querySelector('dialog[open] .problem').textContent !== ''"
 FITS = "document.documentElement.scrollHeight <= innerHeight && document.documentElement.scrollWidth <= innerWidth"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with opened() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StandIn]:
-    with standing_in(tmp_path_factory.mktemp("daemon")) as found:
-        found.seconds(1500)
-        yield found
-
-
-@pytest.fixture(scope="module")
-def site(daemon: StandIn) -> Iterator[str]:
-    with page(daemon.socket) as url:
-        yield url
 
 
 def same_site(watched: Watched, site: str) -> None:

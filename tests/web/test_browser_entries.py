@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.web.browser import CAB, Watched, chromium, opened
+from tests.web.browser import ASKED, CAB, READY, Watched, chromium
 from tests.web.standin import StandIn, fault, page, standing_in
 
 pytest.importorskip("playwright")
@@ -18,33 +17,25 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator
 
 PHONE = {"width": 390, "height": 844}
-READY = "!document.getElementById('buttons').hidden && document.getElementById('load-name').textContent !== 'Load'"
-ASKED = "!document.querySelector('dialog[open]') || document.querySelector('dialog[open] .problem').textContent !== ''"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with opened() as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StandIn]:
-    with standing_in(tmp_path_factory.mktemp("daemon")) as found:
-        found.seconds(1500)
-        yield found
-
-
-@pytest.fixture(scope="module")
-def site(daemon: StandIn) -> Iterator[str]:
-    with page(daemon.socket) as url:
-        yield url
 
 
 def dialog_of(watched: Watched, button: str) -> Locator:
     """The dialog that a button opens."""
     watched.page.get_by_role("group", name="Commands").get_by_role("button", name=button, exact=True).click()
     return watched.page.locator("dialog[open]")
+
+
+def ticket_entered(watched: Watched, site: str, typed: str) -> Locator:
+    """The dialog after a ticket of this mass for load 1 was entered."""
+    watched.page.goto(site)
+    watched.wait(READY)
+    dialog = dialog_of(watched, "Ticket")
+    dialog.locator("[name=first_load]").fill("1")
+    dialog.locator("[name=last_load]").fill("1")
+    dialog.locator("[name=mass]").press_sequentially(typed)
+    dialog.get_by_role("button", name="Correct the loads").click()
+    watched.wait(ASKED)
+    return dialog
 
 
 @pytest.mark.parametrize(
@@ -58,14 +49,7 @@ def dialog_of(watched: Watched, button: str) -> Locator:
 def test_a_mass_is_taken_as_it_was_typed(browser: Browser, daemon: StandIn, site: str, typed: str, mass_kg: float) -> None:
     daemon.asked.clear()
     with Watched(browser) as watched:
-        watched.page.goto(site)
-        watched.wait(READY)
-        dialog = dialog_of(watched, "Ticket")
-        dialog.locator("[name=first_load]").fill("1")
-        dialog.locator("[name=last_load]").fill("1")
-        dialog.locator("[name=mass]").press_sequentially(typed)
-        dialog.get_by_role("button", name="Correct the loads").click()
-        watched.wait(ASKED)
+        ticket_entered(watched, site, typed)
     assert [asked["mass_kg"] for asked in daemon.asked] == [mass_kg]
 
 
@@ -82,14 +66,7 @@ def test_a_mass_is_taken_as_it_was_typed(browser: Browser, daemon: StandIn, site
 def test_what_is_no_mass_is_told_and_not_sent(browser: Browser, daemon: StandIn, site: str, typed: str, said: str) -> None:
     daemon.asked.clear()
     with Watched(browser) as watched:
-        watched.page.goto(site)
-        watched.wait(READY)
-        dialog = dialog_of(watched, "Ticket")
-        dialog.locator("[name=first_load]").fill("1")
-        dialog.locator("[name=last_load]").fill("1")
-        dialog.locator("[name=mass]").press_sequentially(typed)
-        dialog.get_by_role("button", name="Correct the loads").click()
-        watched.wait(ASKED)
+        dialog = ticket_entered(watched, site, typed)
         assert dialog.locator(".problem").inner_text() == said
     assert daemon.asked == []
 
