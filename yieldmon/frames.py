@@ -199,6 +199,11 @@ class HeaderDown(int, Enum):
     DOWN = 1
 
 
+FLICKER_S = 2.0
+"""Longest time for which a header that is reported up within a pass is taken as a loose switch: none is lifted over a headland,
+turned and lowered so soon."""
+
+
 class WorkState(int, Enum):
     """HarvestState.WorkState."""
 

@@ -7,24 +7,28 @@ from dataclasses import replace
 
 import numpy as np
 
+from yieldmon.frames import FLICKER_S
 from yieldmon.units import counted
 
 from .table import Flags, HarvestTable
 from .tracks import MIN_SPEED_M_S, Tracks
 
-LONGEST_S = 2.0
-"""With the header up; no header is lifted over a headland, turned and lowered so soon."""
 _STRAIGHT_DEG = 30.0
 
 
 def flickers(table: HarvestTable, steps: Tracks) -> Flags:
-    """Rows with the header up for at most LONGEST_S between rows with it down, while the machine drives straight on.
+    """Rows with the header up for at most FLICKER_S between rows with it down, while the machine drives straight on.
 
     Parameters
     ----------
     table : HarvestTable
     steps : Tracks
         Of the table.
+
+    Returns
+    -------
+    Flags
+        Of each row of the table, (rows,).
     """
     count = len(steps)
     down, lifted = np.zeros(count, bool), np.zeros(count, bool)
@@ -41,7 +45,7 @@ def flickers(table: HarvestTable, steps: Tracks) -> Flags:
     moments = (
         down[before] & down[after]
         & (steps.run[before] == steps.run[after])
-        & (steps.time_s[end] - steps.time_s[before] <= LONGEST_S + 0.5 * steps.usual_interval_s)
+        & (steps.time_s[end] - steps.time_s[before] <= FLICKER_S + 0.5 * steps.usual_interval_s)
         & (driven[after] - driven[begin] == after - begin)
         & ~turned
     )  # fmt: skip
@@ -59,5 +63,5 @@ def bridged_header(table: HarvestTable, rows: Flags) -> HarvestTable:
 
 def flicker_note(rows: Flags) -> str:
     """What is said of the rows that are bridged."""
-    moments = f"the header is up for at most {LONGEST_S:g} s within passes"
+    moments = f"the header is up for at most {FLICKER_S:g} s within passes"
     return f"{moments} ({counted(int(rows.sum()), 'row')}): taken as a switch that flickers, and as harvesting"

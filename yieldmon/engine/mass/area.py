@@ -17,11 +17,8 @@ from typing import NamedTuple
 
 from yieldmon.engine.inputs import InputSnapshot
 from yieldmon.engine.settings import GateSettings
-from yieldmon.frames import HeaderDown, WorkState
+from yieldmon.frames import FLICKER_S, HeaderDown, WorkState
 from yieldmon.physics.machine import Implement
-
-_MOMENT_S = 2.0
-"""No header is lifted over a headland, turned and lowered so soon."""
 
 
 class _Cut(NamedTuple):
@@ -108,7 +105,7 @@ class AreaCounter:
         begin = count - 1
         while begin and self._cuts[begin - 1].idle:
             begin -= 1
-        if not 0 < begin < count - 1 or self._cuts[-2].end_s - self._cuts[begin - 1].end_s > _MOMENT_S:
+        if not 0 < begin < count - 1 or self._cuts[-2].end_s - self._cuts[begin - 1].end_s > FLICKER_S:
             return
         if not (self._cuts[-1].rate_m2_s > 0.0 and self._cuts[begin - 1].rate_m2_s > 0.0):
             return
