@@ -31,5 +31,5 @@ def test_the_earlier_log_stays(suffix: str, tmp_path: Path, capsys: pytest.Captu
 
 def test_a_truth_stands_beside_a_log_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "--duration", "2", "--log", str(tmp_path / "a.foo"), "--truth", str(tmp_path / "t.csv")]) == 2
-    assert "is no ending of a log that can be written" in capsys.readouterr().err
+    assert "is not an ending of a log that can be written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

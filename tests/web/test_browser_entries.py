@@ -57,10 +57,10 @@ def test_a_mass_is_taken_as_it_was_typed(browser: Browser, daemon: StandIn, site
     ("typed", "said"),
     [
         ("9.120", "9.120 can be 9120 or 9.12 kg: enter it without the point."),
-        ("9.12t", '"9.12t" is no number of kg, such as 9120 or 9120.5.'),
-        ("9 12", '"9 12" is no number of kg, such as 9120 or 9120.5.'),
-        ("-9120", '"-9120" is no number of kg, such as 9120 or 9120.5.'),
-        ("1e4", '"1e4" is no number of kg, such as 9120 or 9120.5.'),
+        ("9.12t", '"9.12t" is not a number of kg, such as 9120 or 9120.5.'),
+        ("9 12", '"9 12" is not a number of kg, such as 9120 or 9120.5.'),
+        ("-9120", '"-9120" is not a number of kg, such as 9120 or 9120.5.'),
+        ("1e4", '"1e4" is not a number of kg, such as 9120 or 9120.5.'),
     ],
 )
 def test_what_is_no_mass_is_told_and_not_sent(browser: Browser, daemon: StandIn, site: str, typed: str, said: str) -> None:

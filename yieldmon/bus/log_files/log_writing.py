@@ -50,7 +50,7 @@ def _writer(path: Path) -> can.io.generic.MessageWriter:
     packed = suffixes[-1:] == [".gz"]
     kind = (suffixes[:-1] if packed else suffixes)[-1:] or [""]
     if kind[0] not in _WRITERS:
-        raise ValueError(f"{kind[0]!r} is no ending of a log that can be written")
+        raise ValueError(f"{kind[0]!r} is not an ending of a log that can be written")
     if packed and kind[0] not in _TEXT:
         raise ValueError(f"a log {kind[0]} cannot be gzipped while it is written")
     file = gzip.open(path, "wt") if packed else path  # noqa: SIM115 - the writer closes it

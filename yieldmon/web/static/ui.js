@@ -71,7 +71,7 @@ export function typedMass(text, unit) {
   if (EITHER.test(typed)) throw new Error(`${typed} can be ${typed.replace(".", "")} or ${Number(typed)} ${unit.name}: enter it without the point.`);
   const marks = IN_THOUSANDS.find(([form]) => form.test(typed))?.[1] ?? "";
   const plain = typed.replace(marks, "").replace(",", ".");
-  if (!/^\d+(\.\d+)?$/.test(plain)) throw new Error(`"${typed}" is no number of ${unit.name}, such as 9120 or 9120.5.`);
+  if (!/^\d+(\.\d+)?$/.test(plain)) throw new Error(`"${typed}" is not a number of ${unit.name}, such as 9120 or 9120.5.`);
   return Number(plain);
 }
 
