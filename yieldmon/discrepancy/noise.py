@@ -155,8 +155,8 @@ def _outliers_of_cells(rows: Rows, suspect: NDArray[np.bool_], sd: Array) -> NDA
 
 
 def _variance_model(grouped: Cells, robust_sd: float) -> Noise:
-    told = scattering(grouped.rows.value, grouped.rows.cell)
-    repeated = (grouped.count > 1) & (np.bincount(grouped.rows.cell, told) > 0.0)
+    scatters = scattering(grouped.rows.value, grouped.rows.cell)
+    repeated = (grouped.count > 1) & (np.bincount(grouped.rows.cell, scatters) > 0.0)
     if not repeated.any():
         repeated = grouped.count > 1
     dof = grouped.count[repeated] - 1.0

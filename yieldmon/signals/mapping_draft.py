@@ -47,11 +47,11 @@ TELLING = ("manufacturer_code", "function", "function_instance", "ecu_instance",
 """Fields of a NAME that identify a node, as `source` of a mapping takes them."""
 
 
-def _guesses(entry: str, told: set[str]) -> list[str]:
-    """What is said of an entry's keys that the bus does not show, once each. told: keys of which it is; those of the entry
+def _guesses(entry: str, reported: set[str]) -> list[str]:
+    """What is said of an entry's keys that the bus does not show, once each. reported: keys of which it is; those of the entry
     are added."""
-    keys = [key for key in _GUESSES if key in entry and key not in told]
-    told.update(keys)
+    keys = [key for key in _GUESSES if key in entry and key not in reported]
+    reported.update(keys)
     return [f"  # {_GUESSES[key]}" for key in keys]
 
 
@@ -74,9 +74,9 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             continue
         shown, channels = _by_frame(free)
         entries = list(dict.fromkeys(entry for one in shown for entry in _entries(one, paths, candidates)))[:4]
-        told: set[str] = set()
+        reported: set[str] = set()
         first = entries.pop(0) if not free[0].weak else ""
-        lines += _guesses(first, told)
+        lines += _guesses(first, reported)
         if free[0].weak:
             how = "their rates" if quantity in IMPACT else "their units"
             lines.append(f"  # Nothing here is named like {quantity}; by {how} it could be:")
@@ -84,7 +84,7 @@ def mapping_text(survey: Survey, paths: Mapping[str, str]) -> str:
             used.update((free[0].message, signal) for signal in _samples(free[0], candidates))
             lines.append(f"  {quantity}: {first}")
         for entry in entries:
-            lines += [*_guesses(entry, told), f"  # or {quantity}: {entry}"]
+            lines += [*_guesses(entry, reported), f"  # or {quantity}: {entry}"]
         lines += [f"  # {said}" for said in _every_page(free[0], paths, candidates)]
         lines += [f"  # {said}" for said in _alike(shown, candidates)]
         lines += [f"  # {said}" for alike in channels for said in _which_channel(alike)]

@@ -268,10 +268,10 @@ class Loads:
         events: LoadEvents = ()
         for number, found in missed.items():
             self._errors.forget_parameters(number)
-            self._since_empty.measured_again(number)
+            self._since_empty.recomputed(number)
             events += self._register.correct(number, found, self._unseen)
         if since is not None:
-            self._unseen.measured_again(since)
+            self._unseen.recomputed(since)
         return events
 
     # Moisture of dry masses

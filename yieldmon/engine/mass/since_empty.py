@@ -28,8 +28,8 @@ class SinceEmpty:
             self.kg_per_n[number] = self.kg_per_n.get(number, 0.0) + budget.per_error_kg_s / force_n * seconds
             self.zero_kg[number] = self.zero_kg.get(number, 0.0) + budget.zero_kg_s * seconds
 
-    def measured_again(self, number: int) -> None:
-        """The mass of a load was measured again by another zero: its standard deviation is not that counted second by second."""
+    def recomputed(self, number: int) -> None:
+        """The mass of a load was recomputed by another zero: its standard deviation is not that counted second by second."""
         if number in self.zero_kg:
             self.zero_kg[number] = 0.0
 

@@ -94,7 +94,7 @@ class UnseenMass:
         self.total_kg = total.after_kg
         self.load_kg = load.after_kg if in_load else self.load_kg
 
-    def measured_again(self, since: UnseenMass) -> None:
+    def recomputed(self, since: UnseenMass) -> None:
         """The seconds until now were measured again: since, as they leave it. Of a stop it says nothing."""
         self._before_kg_s, self._silent_s, self._whole = since._before_kg_s, since._silent_s, since._whole
 

@@ -156,8 +156,8 @@ class CalibrationProblem:
         middle = medians(y, self.cell)
         repeated = counts[self.cell] > 1
         spread = np.abs(y - middle[self.cell]) * np.sqrt(np.count_nonzero(repeated) / dof)
-        told = repeated & scattering(y, self.cell)
-        return usual_deviation(spread[told if told.any() else repeated]), dof
+        scatters = repeated & scattering(y, self.cell)
+        return usual_deviation(spread[scatters if scatters.any() else repeated]), dof
 
     def _spread(self) -> Array | None:
         if self.given_sigma or self.pure_dof < LEAST_PURE_DOF or not self.pure_sd > 0.0:
@@ -166,8 +166,8 @@ class CalibrationProblem:
         middle = medians(y, self.cell)
         repeated = np.bincount(self.cell)[self.cell] > 1
         relative = np.abs(y - middle[self.cell]) / either_form(middle)[self.cell]
-        told = repeated & scattering(y, self.cell)
-        usual = usual_deviation(relative[told if told.any() else repeated])
+        scatters = repeated & scattering(y, self.cell)
+        usual = usual_deviation(relative[scatters if scatters.any() else repeated])
         good = repeated & (relative <= OUTLIER_SDS * np.sqrt(2.0) * usual) if usual > 0.0 else repeated
         count = np.bincount(self.cell[good], minlength=middle.size)
         mean = np.bincount(self.cell[good], y[good], minlength=middle.size) / np.maximum(count, 1)
