@@ -110,6 +110,38 @@ def test_bad_values_are_named(tmp_path, change, expected):
     assert str(path) in str(caught.value)
 
 
+_KNOWN = ParameterSet({"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "restitution": 0.5})
+
+
+def _with(**values: float) -> ParameterSet:
+    return replace(_KNOWN, values={**_KNOWN.values, **values})
+
+
+@pytest.mark.parametrize(
+    ("known", "expected"),
+    [
+        (_with(density=1.1), "density: is 1.1; expected kg/m3; this looks like g/cm3 or t/m3"),
+        (_with(friction=9.0), "friction: is 9.0; expected a number from 0 to 5"),
+        (_with(**{"gravity.acceleration_m_s2": 98.1}), "gravity.acceleration_m_s2: is 98.1; expected a number from 0 to 12"),
+        (replace(_KNOWN, model_error=5.0), "model_error: is 5.0; expected a number from 0 to 0.5 as a share of the force"),
+        (replace(_KNOWN, model_error=float("nan")), "model_error: is nan; expected a number from 0 to 10"),
+        (replace(_KNOWN, version=0), "version: is 0; expected a whole number from 1"),
+        (replace(_KNOWN, calibrated=CalibratedRange((9.0, 1.0))), "mass_flow_kg_s: is [9.0, 1.0]; expected the lowest first"),
+        (replace(_KNOWN, calibrated=CalibratedRange(plate_angle_rad=(40.0, 90.0))), "deg: is 2291"),
+        (replace(_KNOWN, covariance_names=("density",), covariance=np.array([[1e32]])), "matrix: is 1e+32"),
+        (replace(_KNOWN, provenance={"data": "x" * 100_000}), "characters; expected at most 100000"),
+        (replace(_KNOWN, provenance={"machine": Path("a")}), "of type PosixPath; expected parameters of texts and"),
+    ],
+)  # fmt: skip
+def test_what_would_not_be_read_back_is_not_written(tmp_path: Path, known: ParameterSet, expected: str) -> None:
+    path = tmp_path / "p.yaml"
+    with pytest.raises(InputError) as caught:
+        parameter_file.save(known, path)
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert not path.exists()
+
+
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "p.yaml"
     parameters = ParameterSet({"friction": 0.2, "density": 1e3, "shape_ratio": 2.0, "restitution": 0.5})

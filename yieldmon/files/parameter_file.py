@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from yaml.representer import RepresenterError
 
 from yieldmon.arguments import require_path, require_type
 from yieldmon.errors import InputError
@@ -69,12 +70,17 @@ def load(path: str | Path | None = None) -> ParameterSet:
     ('gravity',)
     """
     path = shipped(DEFAULT) if path is None else path
-    known = from_document(load_mapping(path), str(path))
+    return _plausible(load_mapping(path), str(path))
+
+
+def _plausible(document: Mapping[str, Any], where: str) -> ParameterSet:
+    """ParameterSet from the mapping of a parameter file, with the limits that only a file's values have. Raises InputError."""
+    known = from_document(document, where)
     if known.values["density"] < _LEAST_DENSITY_KG_M3:
-        raise InputError(f"{path}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
+        raise InputError(f"{where}: density", f"is {known.values['density']:g}", "kg/m3; this looks like g/cm3 or t/m3")
     if known.model_error is not None:
-        number(known.model_error, f"{path}: model_error", "as a share of the force, 0.05 for 5 %", 0.0, LARGEST_MODEL_ERROR)
-    _check_effects(known, str(path))
+        number(known.model_error, f"{where}: model_error", "as a share of the force, 0.05 for 5 %", 0.0, LARGEST_MODEL_ERROR)
+    _check_effects(known, where)
     return known
 
 
@@ -186,7 +192,8 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     Raises
     ------
     InputError
-        For a folder that is missing or takes no file, and an argument of another type.
+        For values that `load_parameters` refuses, in its words; a folder that is missing or takes no file; and an argument of
+        another type.
     OSError
         As the system gives it.
 
@@ -201,7 +208,12 @@ def save(parameters: ParameterSet, path: str | Path) -> None:
     """
     require_type("parameters", parameters, ParameterSet, "a ParameterSet; the path comes after it")
     require_path(path)
-    text = strict_yaml.dump(to_document(parameters))
+    try:
+        text = strict_yaml.dump(to_document(parameters))
+    except RepresenterError as error:
+        problem = f"holds {error.args[-1]!r}, of type {type(error.args[-1]).__name__}"
+        raise InputError(str(path), problem, "parameters of texts and Python's own numbers") from error
+    _plausible(strict_yaml.parse(text, str(path)), str(path))
     whole_file.write(path, text, durable=True, mode=whole_file.READABLE)
 
 
