@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 
-from yieldmon.bus.codec import Codec
+from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.discrepancy.diagnosis import Diagnosis, Options, diagnose
 from yieldmon.engine.monitor import Monitor
@@ -44,6 +44,7 @@ from yieldmon.plant.scenario import Scenario
 from yieldmon.plant.scenario import load as load_scenario
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import build_monitor
+from yieldmon.service.config.configuration import ConfigurationError
 from yieldmon.service.config.configuration import load as load_configuration
 from yieldmon.service.logs.processing import Summary, process_logs
 from yieldmon.service.logs.recorded import read_loads, read_seconds
@@ -57,6 +58,7 @@ __all__ = [
     "ClosedLoopSettings",
     "Codec",
     "Conditions",
+    "ConfigurationError",
     "Diagnosis",
     "Effect",
     "EffectParameter",
@@ -64,6 +66,7 @@ __all__ = [
     "FlowStatus",
     "ForwardModel",
     "Frame",
+    "FrameError",
     "InputError",
     "LoadRecord",
     "Machine",

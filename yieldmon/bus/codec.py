@@ -18,7 +18,7 @@ _Unpack = tuple[str, int, int, float, float, int, int, frozenset[int] | None, bo
 
 
 class FrameError(ValueError):
-    """A frame of ours that is not as the DBC says, or a Frame that cannot be packed."""
+    """A frame that is not as its DBC says."""
 
 
 class Codec:

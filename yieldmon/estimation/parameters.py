@@ -91,7 +91,7 @@ class CalibratedRange:
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """A calibrated set of parameters: values, their errors, where they hold and where they came from.
+    """Calibrated parameters: values, errors, range and origin.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from .throw import Parameters, Throw, ThrowModel
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What the machine does while it is measured; arrays that broadcast against each other and against the parameters.
+    """What the machine does while it is measured; arrays that broadcast.
 
     Parameters
     ----------
