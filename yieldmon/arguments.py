@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from os import PathLike
 from typing import Any
 
-from yieldmon.errors import InputError
+from yieldmon.errors import InputError, refuse_nul
 
 
 def require_type(name: str, given: object, wanted: type | tuple[type, ...], expected: str) -> None:
@@ -44,6 +44,7 @@ def of_other_type(name: str, given: object, expected: str) -> InputError:
 def require_path(given: object) -> None:
     """Refuse a `path` that is none. Raises InputError."""
     require_type("path", given, (str, PathLike), "a path")
+    refuse_nul(given)
 
 
 def require_within(name: str, given: float, low: float, high: float, unit: str) -> None:

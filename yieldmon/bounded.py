@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
-from yieldmon.errors import InputError, reading
+from yieldmon.errors import InputError, reading, refuse_nul
 
 LONGEST_LINE = 16 * 1024 * 1024
 """Characters of a line of a table. Lines of real tables have some hundred."""
@@ -116,8 +116,9 @@ def content(path: str, most_bytes: int, timeout_s: float) -> bytes:
     OSError
         As the system has it.
     InputError
-        A pipe or a terminal did not come to an end.
+        A pipe or a terminal did not come to an end, or the path holds a NUL character.
     """
+    refuse_nul(path)
     end_s = time.monotonic() + timeout_s
     # A pipe without a writer is empty; opening it the usual way would wait for ever, and so would reading a terminal.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -153,9 +153,22 @@ _REMEDIES = {
 }
 
 
+def refuse_nul(text: object) -> None:
+    r"""Raises InputError for a path, or a word of a command line, that holds a NUL character: no file and no word can.
+
+    >>> refuse_nul("drive\0.log")
+    Traceback (most recent call last):
+        ...
+    yieldmon.errors.InputError: drive\x00.log: holds a NUL character; expected a name without one
+    """
+    if "\0" in str(text):
+        raise InputError(str(text), "holds a NUL character", "a name without one")
+
+
 @contextmanager
 def reading(path: str | os.PathLike[str], expected: str) -> Iterator[None]:
     """An OSError while a file is read becomes an InputError that names the file and what was expected of it."""
+    refuse_nul(path)
     try:
         yield
     except OSError as error:

@@ -27,7 +27,7 @@ from yieldmon import __version__
 from yieldmon.bus.log_files import mf4
 from yieldmon.cli import _notes, _outputs
 from yieldmon.cli._usage import Parser, unknown
-from yieldmon.errors import InputError, remedy
+from yieldmon.errors import InputError, refuse_nul, remedy
 from yieldmon.files.plain_text import plain
 
 EXIT_FAILED = 1
@@ -188,6 +188,8 @@ def _print_anything() -> None:
 
 def _run(argv: Sequence[str]) -> int:
     verbs = find_verbs()
+    for word in argv:
+        refuse_nul(word)
     completing = "_ARGCOMPLETE" in os.environ
     words = shlex.split(os.environ.get("COMP_LINE", ""))[1:] if completing else argv
     parser, module = build_parser(verbs, verb_in(words, verbs))
