@@ -12,6 +12,7 @@ import pytest
 from tests.fleet import logs
 from tests.service.bench import CODEC
 from yieldmon.cli.main import main
+from yieldmon.engine.settings import EngineSettings, GateSettings
 from yieldmon.errors import InputError
 from yieldmon.resources import shipped
 from yieldmon.service.assembly import monitor_of
@@ -140,10 +141,12 @@ def test_inputs_in_logs_apart_are_refused(tmp_path: Path, capsys: pytest.Capture
     assert main(["process", *written(tmp_path, first, later), "--out", str(tmp_path / "o.csv")]) == 0
 
 
+#: These logs are of a harvest.
+ALWAYS_AT_REST = EngineSettings(gate=GateSettings(min_turning_rpm=1000.0))
 READERS: dict[str, Callable[[list[str], configuration.Configuration], object]] = {
     "weighed loads": measured_loads.read,
     "waves": weighed_waves.read,
-    "taps": lambda paths, configured: tap_samples.read(paths, configured.signals, configured.log_channels),
+    "taps": lambda paths, configured: tap_samples.read(paths, configured.signals, configured.log_channels, ALWAYS_AT_REST),
 }
 
 

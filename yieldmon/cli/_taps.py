@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from typing import TYPE_CHECKING
 
-from yieldmon.cli import _by_loads, _calibrate_options
+from yieldmon.cli import _by_loads, _calibrate_options, _notes
 from yieldmon.documents.calibrate import TapDocument
 from yieldmon.errors import InputError
 from yieldmon.files import machine_file, strict_yaml, whole_file
@@ -28,10 +28,12 @@ def run(args: argparse.Namespace) -> TapDocument:
     from yieldmon.service.logs import tap_samples
 
     configured = _by_loads.configuration_of(args)
-    stretches, source = tap_samples.read(args.taps, configured.signals, configured.log_channels)
+    samples = tap_samples.read(args.taps, configured.signals, configured.log_channels, configured.engine)
+    for note in samples.notes:
+        _notes.note(note)
     machine = configured.machine
     try:
-        found = tap_response(stretches, source.interval_s, full_scale_mv=machine.sensor.full_scale_mv)
+        found = tap_response(samples.stretches, samples.source.interval_s, full_scale_mv=machine.sensor.full_scale_mv)
     except ValueError as error:
         hint = f"{LEAST_TAPS} or more, a second apart, elevator at rest, with something hard and light"
         raise InputError(", ".join(args.taps), str(error), hint) from error
