@@ -33,7 +33,7 @@ from cantools.database.can import Database
 
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate, messages_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.packed.writing import pack
 from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.plant import scenario as scenarios
@@ -62,7 +62,7 @@ def ours() -> FrameBlock:
 def foreign(folder: Path) -> FrameBlock:
     """The recordings, one after the other from 0 s, as often as it takes; frames of at most 8 bytes."""
     parts, at_s = [], 0.0
-    recorded = [load_frames(path) for path in sorted(folder.glob("*.log"))]
+    recorded = [concatenate(list(iter_blocks(path))) for path in sorted(folder.glob("*.log"))]
     if not recorded:
         raise SystemExit(f"{folder}: no *.log")
     while at_s < TILE_S:

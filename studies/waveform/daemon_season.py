@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from studies.waveform.frame_runs import run_of
 from studies.waveform.season import bias_slope
 from yieldmon.engine.calibrator_settings import CalibratorSettings
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, frames_in, records_in, windows_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.estimation.closed_loop_settings import ClosedLoopSettings

@@ -9,9 +9,9 @@ import cantools
 import numpy as np
 import pytest
 
+from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import load_frames
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.resources import shipped
 

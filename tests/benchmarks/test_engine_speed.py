@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "engine"))
 
 from engine_bench import MACHINE, Bench, monitor
 
-from yieldmon.engine.runs import run_of
+from studies.waveform.frame_runs import run_of
 from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.settings import WindowSettings
 from yieldmon.physics.machine import RPM

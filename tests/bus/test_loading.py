@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
-from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.errors import InputError

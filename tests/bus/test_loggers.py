@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.bus.log_files import read
-from yieldmon.bus.log_files.loading import load_frames
+from tests.whole_logs import load_frames
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.cli.main import main

@@ -22,8 +22,9 @@ from hypothesis import strategies as st
 from tests.bus.log_files import read, write
 from tests.extras import MF4
 from tests.file_limit import files_end_at
+from tests.whole_logs import load_frames
 from yieldmon.bus.log_files.candump import parse_line
-from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.log_writing import writing
 from yieldmon.bus.log_files.logs import read_log

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from tests.fleet import logs
+from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.bus.packed.columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode, place_fields

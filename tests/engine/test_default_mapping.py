@@ -6,9 +6,9 @@ import dataclasses
 
 import pytest
 
+from studies.waveform.frame_runs import run_of
 from yieldmon.bus.databases import load_messages
 from yieldmon.engine.results import Result, frames_in, records_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES, Sources
 from yieldmon.files import machine_file, parameter_file
 from yieldmon.frames import Frame

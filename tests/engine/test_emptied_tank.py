@@ -8,13 +8,13 @@ import pytest
 from engine_bench import Bench, feed, monitor, only, results
 from numpy import interp
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.mass.load_summary import LoadClosed, LoadOpened
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import events_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, TotalsSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.frames import NOT_AVAILABLE, Frame

@@ -24,11 +24,11 @@ from engine_bench import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.settings import BudgetSettings, EngineSettings, ReferenceMassSettings

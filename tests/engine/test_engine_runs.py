@@ -22,11 +22,11 @@ from engine_bench import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.flow_estimator import FlowEstimator
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import Result, events_in, frames_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.sampling.windows import WindowBuilder
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass

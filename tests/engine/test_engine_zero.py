@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from engine_bench import Bench, feed, monitor, only
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.runs import run_of
 from yieldmon.frames import EstimateQuality, Frame, OperatingState
 
 SHAKING = Bench(noise_mv=5.0, shaft_vibration_mv=7.0, paddle_vibration_mv=7.0, scatter=0.1)

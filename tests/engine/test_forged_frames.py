@@ -9,10 +9,10 @@ from dataclasses import replace
 import pytest
 from engine_bench import Bench, feed, monitor, sample_frame
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.bus.layout import load_layouts
 from yieldmon.engine.faults import FaultCode
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, TotalsSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES
 from yieldmon.frames import Frame

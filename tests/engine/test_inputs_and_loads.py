@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from engine_bench import MACHINE, Bench, ForceProportional, Kept
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs
 from yieldmon.engine.mass.loads import Loads
 from yieldmon.engine.mass.missed_mass import MissedMass
 from yieldmon.engine.mass.silences import Missing, Silences
 from yieldmon.engine.mass.totals import Totals
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, InputSettings, TotalsSettings
 from yieldmon.engine.sources import DEFAULT_SOURCES, QUANTITIES
 from yieldmon.frames import Frame

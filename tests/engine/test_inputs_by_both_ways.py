@@ -7,9 +7,9 @@ from math import inf, nan, nextafter
 
 import pytest
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.inputs import Inputs, InputSnapshot
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import InputSettings
 from yieldmon.engine.sources import QUANTITIES
 from yieldmon.frames import Frame, Value

@@ -12,11 +12,11 @@ import pytest
 from engine_bench import MACHINE, PARAMETERS, Bench, ForceProportional, feed, monitor
 from scipy.stats import norm
 
+from studies.waveform.frame_runs import run_of
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import frames_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass, ReferenceSource
 from yieldmon.engine.self_calibration.scale_alarm import ScaleAlarm, ScaleCheck, as_stated

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from engine_bench import Bench, feed, monitor
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
-from yieldmon.engine.runs import in_millivolts, run_of
+from yieldmon.engine.runs import in_millivolts
 from yieldmon.engine.sources import DEFAULT_SOURCES
 from yieldmon.frames import Frame
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from engine_bench import Bench, feed, monitor
 
-from yieldmon.engine.runs import run_of
+from studies.waveform.frame_runs import run_of
 
 BENCH = Bench(flow=lambda t: 14.0 if t >= 1020.0 else 0.0)
 FRAMES = BENCH.frames(200)

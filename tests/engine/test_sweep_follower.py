@@ -11,10 +11,10 @@ from engine_bench import HOME_DEG, Actuator, Kept, feed, monitor, only, run_with
 from test_engine_runs import Recorded, assert_same, cut
 from test_engine_sweep_on_plate import BENCH, SETTINGS, SWEEP_S, SweepCalibrator
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.results import events_in, frames_in
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.calibrator import CalibrationOutcome
 from yieldmon.engine.settings import EngineSettings
 from yieldmon.engine.sweeps.plate import SweepEnded

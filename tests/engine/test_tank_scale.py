@@ -8,9 +8,9 @@ from math import nan
 import pytest
 from engine_bench import ZERO_MV, Bench, feed, monitor
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as bus
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.self_calibration.load_forces import WindowForces
 from yieldmon.engine.self_calibration.reference_mass import ReferenceMass
 from yieldmon.engine.self_calibration.tank_scale import TankScale

@@ -13,12 +13,13 @@ import can
 import numpy as np
 import pytest
 
+from studies.waveform.frame_runs import run_of
 from tests.service.bench import CODEC
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.records import WindowRecord
 from yieldmon.engine.results import WindowResult, records_in, windows_in
-from yieldmon.engine.runs import FrameRun, run_of
+from yieldmon.engine.runs import FrameRun
 from yieldmon.engine.self_calibration.closed_loop_calibrator import ClosedLoopCalibrator
 from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings

@@ -9,10 +9,10 @@ from math import inf, isfinite
 import pytest
 from engine_bench import ZERO_MV, Bench, Kept, feed, monitor
 
+from studies.waveform.frame_runs import run_of
 from yieldmon import frames as frames_of_bus
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
-from yieldmon.engine.runs import run_of
 from yieldmon.engine.settings import EngineSettings, ReferenceMassSettings
 from yieldmon.errors import InputError
 from yieldmon.files import parameter_file

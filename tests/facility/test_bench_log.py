@@ -22,9 +22,9 @@ from tests.facility.bench_log import (
     published,
 )
 from tests.in_process import program
+from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import decode_block
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import load_frames
 from yieldmon.cli.main import main
 from yieldmon.frames import IMPACT_SENSOR_SAMPLES
 

@@ -17,11 +17,12 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.whole_logs import load_frames
 from yieldmon import bounded
 from yieldmon.bounded import read_whole
 from yieldmon.bus import databases, dbc_file
 from yieldmon.bus.log_files import text_logs
-from yieldmon.bus.log_files.loading import iter_blocks, load_frames
+from yieldmon.bus.log_files.loading import iter_blocks
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import SUFFIXES, read_log, require_log
 from yieldmon.cli.main import main

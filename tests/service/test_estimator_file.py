@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from studies.waveform.frame_runs import run_of
 from yieldmon.cli.main import main
 from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import WindowResult, windows_in
-from yieldmon.engine.runs import run_of
 from yieldmon.errors import InputError
 from yieldmon.files import flow_curve_file, parameter_file
 from yieldmon.frames import NOT_AVAILABLE, EstimateQuality, Frame

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import block_of
 from yieldmon.bus.databases import MessageBits, load_messages
-from yieldmon.bus.log_files.loading import load_frames
 from yieldmon.cli.main import main
 from yieldmon.network.name import NameMatch
 from yieldmon.network.reassembly import LISTENING_SESSIONS

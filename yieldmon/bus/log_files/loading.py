@@ -10,7 +10,7 @@ from pathlib import Path
 import can
 import numpy as np
 
-from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
+from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.log_files.candump import ERROR_FLAG
 from yieldmon.bus.log_files.fast_candump import ParsedLines, parse_lines
 from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
@@ -31,11 +31,6 @@ from yieldmon.bus.packed.reading import Wanted, dropped_by_recorder, read_blocks
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
-
-
-def load_frames(path: Path | str, notes: LogNotes | None = None) -> FrameBlock:
-    """The whole log. About 23 bytes a frame; see iter_blocks() for logs that shall not be held at once."""
-    return concatenate(list(iter_blocks(path, notes)))
 
 
 def iter_blocks(
