@@ -82,6 +82,8 @@ class FaultBook:
 
         Returns what was withdrawn, then what was shown, each by name.
         """
+        if not (present or self._stirred or self._reported):
+            return ()
         events = [self.observe(code, time_s, detail, present=True) for code, detail in present.items()]
         gone = (self._stirred | self._reported.keys()) - present.keys()
         events += [self.observe(code, time_s, present=False) for code in gone]

@@ -135,6 +135,7 @@ class ForwardModel:
         self.nodes = nodes
         chosen = [get_effect(name) for name in names]
         self._throws = ThrowModel(machine, tuple(sorted(chosen, key=lambda effect: effect.name)), nodes)
+        self._effects = tuple(effect.name for effect in self._throws.effects)
 
     def __repr__(self) -> str:
         return f"ForwardModel({self.machine.name!r}, effects={list(self.effects)!r}, nodes={self.nodes})"
@@ -142,7 +143,7 @@ class ForwardModel:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects, in alphabetical order; within a stage they act by rank, then in this order."""
-        return tuple(effect.name for effect in self._throws.effects)
+        return self._effects
 
     @property
     def effect_parameters(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import hypot, isfinite, sqrt
 
-from yieldmon.engine.fast_dataclasses import changer_of, maker_of
+from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.mass.unseen import SAME, UnseenChange
 from yieldmon.engine.settings import BudgetSettings
 
@@ -165,8 +165,7 @@ class MassBudget:
 
     def with_parameters(self, more_kg: float) -> MassBudget:
         """The budget when the standard deviation by the parameters turns out more_kg larger (below 0: smaller)."""
-        changed: MassBudget = _with(self, parameters_kg=max(self.parameters_kg + more_kg, 0.0))
-        return changed
+        return _made(self.noise_kg2, max(self.parameters_kg + more_kg, 0.0), self.zero_kg, self.moisture_kg, self.motion_kg)
 
     def with_common(self, parameters_kg: float) -> MassBudget:
         """The budget when the standard deviation by the parameters turns out to be at least parameters_kg."""
@@ -183,7 +182,7 @@ class MassBudget:
         return cls(_NAN, _NAN, _NAN, _NAN, _NAN)
 
 
-_made, _with = maker_of(MassBudget), changer_of(MassBudget)
+_made = maker_of(MassBudget)
 EMPTY = MassBudget()
 """Of no mass."""
 

@@ -108,8 +108,7 @@ class LoadRegister:
         if before is None:
             return ()
         more_kg = parameters_kg - before.parameters_kg
-        widened, exact = before.with_parameters(more_kg), replace(before, parameters_kg=parameters_kg)
-        budget = widened if self._is_open(number) else exact
+        budget = before.with_parameters(more_kg) if self._is_open(number) else replace(before, parameters_kg=parameters_kg)
         return self._state(number, before, budget, self.totals.total_budget.with_parameters(more_kg))
 
     def widen_zero(self, number: int, more_kg: float) -> LoadEvents:

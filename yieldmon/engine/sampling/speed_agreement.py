@@ -80,7 +80,8 @@ class SpeedAgreement:
             return False
         amplitude_mv = self._amplitude_mv(window)
         over_mean, over_range = amplitude_mv / grain_mv, amplitude_mv / window.span_mv
-        if len(self._over_mean) >= _LEAST:
+        # Their largest, before the medians: this is done every second.
+        if len(self._over_mean) >= _LEAST and over_mean < _LOST * max(self._over_mean):
             usual_over_mean, usual_over_range = median(self._over_mean), median(self._over_range)
             # A single wrong sample changes the range alone; something on the plate, or a plate without grain, the mean.
             pulsed = window.span_mv * usual_over_range > _STAYS * grain_mv * usual_over_mean

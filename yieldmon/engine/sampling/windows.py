@@ -103,7 +103,8 @@ class Window:
     @property
     def coverage(self) -> float:
         """Share of the window's weight that was measured, 0 .. 1."""
-        return min(1.0, self.covered_s / self.weight_s) if self.weight_s > 0.0 else 0.0
+        share = self.covered_s / self.weight_s if self.weight_s > 0.0 else 0.0
+        return share if share < 1.0 else 1.0
 
     @property
     def contested(self) -> bool:

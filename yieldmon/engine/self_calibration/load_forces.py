@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from math import isfinite, log, nan
+from math import inf, isfinite, log, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ class LoadForceSums:
         if mass_kg <= 0.0:
             return
         seconds, force_n, angle_rad, speed_rad_s, moisture_pct = window
-        usable = all(map(isfinite, (force_n, angle_rad, speed_rad_s))) and force_n > 0.0 and speed_rad_s > 0.0
+        usable = 0.0 < force_n < inf and 0.0 < speed_rad_s < inf and isfinite(angle_rad)
         masses = self._known_kg if usable else self._unknown_kg
         masses[load_number] = masses.get(load_number, 0.0) + mass_kg
         if not usable:
@@ -70,8 +70,9 @@ class LoadForceSums:
         key = round(angle_rad / _ANGLE_RAD), round(log(speed_rad_s) / _LN_SPEED), round(log(force_n) / _LN_FORCE)
         sums = self._loads[load_number].setdefault(key, [0.0] * 6)
         sums[0] += seconds
-        for place, value in enumerate((force_n, angle_rad, speed_rad_s), 1):
-            sums[place] += seconds * value
+        sums[1] += seconds * force_n
+        sums[2] += seconds * angle_rad
+        sums[3] += seconds * speed_rad_s
         if isfinite(moisture_pct):
             sums[4] += seconds * moisture_pct
             sums[5] += seconds

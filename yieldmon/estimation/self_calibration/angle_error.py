@@ -18,7 +18,7 @@ from yieldmon.physics.numerics import Array
 
 NODES_RAD = np.radians(np.arange(20.0, 111.0, 10.0))
 """Angles of the nodes. The error is linear between them, and constant beyond the outer ones."""
-_FIRST_RAD, _STEP_RAD = float(NODES_RAD[0]), float(NODES_RAD[1] - NODES_RAD[0])
+_FIRST_RAD, _STEP_RAD, _COUNT = float(NODES_RAD[0]), float(NODES_RAD[1] - NODES_RAD[0]), NODES_RAD.size
 
 
 def node_shares(plate_angle_rad: float) -> tuple[int, float]:
@@ -36,8 +36,8 @@ def node_shares(plate_angle_rad: float) -> tuple[int, float]:
     share : float
         Weight of the node above, 0 to 1.
     """
-    place = min(max((plate_angle_rad - _FIRST_RAD) / _STEP_RAD, 0.0), NODES_RAD.size - 1.0)
-    first = min(int(place), NODES_RAD.size - 2)
+    place = min(max((plate_angle_rad - _FIRST_RAD) / _STEP_RAD, 0.0), _COUNT - 1.0)
+    first = min(int(place), _COUNT - 2)
     return first, place - first
 
 
@@ -90,7 +90,7 @@ class AngleError:
         if not self.moments:
             return abs(left)
         row = np.array(at_nodes)
-        expected = float(row @ self.expected) if self.expected else 0.0
+        expected = float(row @ self._expected) if self.expected else 0.0
         return sqrt(max(float(row @ self._matrix @ row) + left * (left + 2.0 * expected), 0.0))
 
     def with_home(self, home: float, home_rad: float) -> AngleError:
@@ -111,6 +111,10 @@ class AngleError:
     @cached_property
     def _matrix(self) -> Array:
         return np.array(self.moments)
+
+    @cached_property
+    def _expected(self) -> Array:
+        return np.array(self.expected)
 
 
 NO_ERROR = AngleError()
