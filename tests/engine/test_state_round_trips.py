@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from yieldmon.engine.mass.budget import MassBudget
+from yieldmon.engine.mass.since_empty import LoadSinceEmpty
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.sampling.zero import ZeroState
 from yieldmon.engine.self_calibration.calibrator_state import CalibratorState, GrainState, PriorState
@@ -83,6 +84,7 @@ STATES = st.builds(
         ZeroUndo, before=ZEROS, suspect=st.booleans(), by_scale=st.lists(st.tuples(COUNTS, NUMBERS), max_size=2).map(tuple)
     ),
     tickets=st.lists(TICKETS, max_size=2).map(tuple),
+    since_empty=st.lists(st.builds(LoadSinceEmpty, number=COUNTS, kg_per_n=MASSES, zero_kg=MASSES), max_size=2).map(tuple),
 )  # fmt: skip
 
 
@@ -101,7 +103,7 @@ def test_a_budget_that_is_not_known_stays_so(part: str) -> None:
     }
 
 
-LATER = {"disagreement", "calibrator", "scale_alarm", "zero_undo", "tickets", "moisture", "closed", "at_stop"}
+LATER = {"disagreement", "calibrator", "scale_alarm", "zero_undo", "tickets", "moisture", "closed", "at_stop", "since_empty"}
 
 
 @pytest.mark.parametrize("key", sorted(EngineState().as_dict()))

@@ -3,15 +3,20 @@ it is as unsure as it is wrong."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from engine_bench import ZERO_MV, Bench, Kept, feed, monitor
 
 from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.load_summary import LoadRestated
 from yieldmon.engine.mass.since_empty import SinceEmpty
 from yieldmon.engine.monitor import Monitor
+from yieldmon.engine.results import events_in
+from yieldmon.engine.state import EngineState
 from yieldmon.physics.machine import Machine
 
 EMPTY_S, STEP_S, GRAIN_ENDS_S, SECONDS = 15.0, 60.0, 110.0, 130.0
@@ -89,6 +94,77 @@ def test_mass_that_belongs_to_no_load_widens_the_totals() -> None:
     kept = measured(bench(harvest(10.0), stepping(30.0)), 5.0, Monitor.stop_load)
     true_kg = 10.0 * (GRAIN_ENDS_S - EMPTY_S)
     assert abs(kept.totals.total_kg - true_kg) < 2.0 * kept.totals.total_budget.std_dev_kg
+
+
+RESTART_S = 100.0
+CLOSED: dict[str, Callable[[Monitor], object]] = {
+    "open load": lambda target: None,
+    "closed load": Monitor.start_load,
+    "no load any more": Monitor.stop_load,
+}
+
+
+def restarted(source: Bench, command: Callable[[Monitor], object], *, version: int = 0) -> tuple[Kept, Kept]:
+    """A monitor that is not restarted, and one that goes on from its state at RESTART_S. version: added to that of the
+    parameters in the state."""
+    whole, after, run = monitor(), monitor(), source.frames(SECONDS)
+    feed(whole, [frame for frame in run if frame.time_s < 1000.0 + RESTART_S])
+    command(whole)
+    state = EngineState.from_dict(json.loads(json.dumps(whole.snapshot().as_dict(), allow_nan=False)))
+    after.restore(replace(state, parameter_version=state.parameter_version + version))
+    for one in (whole, after):
+        feed(one, [frame for frame in run if frame.time_s >= 1000.0 + RESTART_S])
+    return whole, after
+
+
+def restated_numbers(kept: Kept) -> list[int]:
+    return [event.number for event in events_in(kept.results) if isinstance(event, LoadRestated)]
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "restated"),
+    [("open load", 0, []), ("closed load", 0, [1]), ("no load any more", 0, [1]), ("closed load", 1, [])],
+)
+def test_a_zero_that_moved_before_a_restart_widens_what_was_measured_before_it(
+    name: str, version: int, restated: list[int]
+) -> None:
+    """Closed loads measured with other parameters keep what was stated of them."""
+    whole, after = restarted(bench(harvest(10.0), drifting(600.0)), CLOSED[name], version=version)
+    assert after.totals.total_budget.zero_kg == pytest.approx(whole.totals.total_budget.zero_kg, rel=0.1)
+    assert after.totals.load_budget.zero_kg == pytest.approx(whole.totals.load_budget.zero_kg, rel=0.1)
+    assert restated_numbers(after) == restated
+    assert whole.totals.total_budget.zero_kg > 50.0
+
+
+def test_a_restart_widens_nothing_by_a_zero_that_stays() -> None:
+    _, after = restarted(bench(harvest(10.0)), CLOSED["closed load"])
+    assert restated_numbers(after) == []
+
+
+def test_loads_that_are_not_known_after_a_restart_widen_the_total() -> None:
+    """A restart knows the newest dozen of loads."""
+    target, run = monitor(), bench(harvest(10.0), stepping(30.0)).frames(SECONDS)
+    for start_s in range(1000, 1100, 5):
+        feed(target, [frame for frame in run if start_s <= frame.time_s < start_s + 5])
+        target.start_load()
+    after = monitor()
+    after.restore(target.snapshot())
+    for one in (target, after):
+        feed(one, [frame for frame in run if frame.time_s >= 1100.0])
+    assert after.totals.total_budget.zero_kg == pytest.approx(target.totals.total_budget.zero_kg, rel=0.02)
+
+
+def test_mass_of_no_load_before_a_reset_is_in_no_total() -> None:
+    source = bench(harvest(10.0), stepping(30.0))
+    run = source.frames(SECONDS)
+    targets = monitor(), monitor()
+    for target, stop_s in zip(targets, (20.0, 100.0), strict=True):
+        feed(target, [frame for frame in run if frame.time_s < 1000.0 + stop_s])
+        target.stop_load()
+        feed(target, [frame for frame in run if 1000.0 + stop_s <= frame.time_s < 1105.0])
+        target.reset_totals()
+        feed(target, [frame for frame in run if frame.time_s >= 1105.0])
+    assert targets[0].totals == targets[1].totals
 
 
 @pytest.mark.parametrize("mv_per_h", [600.0, -600.0])

@@ -10,7 +10,7 @@ from yieldmon.engine.state import EngineState
 from yieldmon.service.storage import schema
 
 #: Schema version of the store, and digest of the keys of the state in it.
-VERSION, KEYS = 16, "5c7cae87e473cf59"
+VERSION, KEYS = 17, "5fcad7ececa00eb0"
 
 
 def dataclasses_in(hint: object) -> list[type]:

@@ -31,6 +31,7 @@ def snapshot(parts: Parts, windows: int) -> EngineState:
         moisture=parts.flow_meter.moisture.state,
         closed=parts.loads.closed_states,
         at_stop=_at_stop(parts),
+        since_empty=parts.loads.since_empty_states,
     )
 
 
@@ -40,7 +41,7 @@ def restore(parts: Parts, state: EngineState) -> None:
         parts.measurement.zero.resume(state.zero_undo.before, suspect=state.zero_undo.suspect)
         for number, kg in state.zero_undo.by_scale:
             parts.since_zero.add_scale(number, kg)
-    parts.loads.restore(state.totals, state.at_stop)
+    parts.loads.restore(state.totals, state.at_stop, state.since_empty)
     parts.measurement.zero.restore(state.zero)
     parts.plate.restore(state.sweep_id, state.sweep_due_in_s, parts.settings.sweep.first_after_s)
     updater, parameters = parts.updater, parts.updater.estimator.parameters

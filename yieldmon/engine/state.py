@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from yieldmon.engine.mass.budget import MassBudget
 from yieldmon.engine.mass.moisture_reference import MoistureState
 from yieldmon.engine.mass.shared_error import ClosedLoadState
+from yieldmon.engine.mass.since_empty import LoadSinceEmpty
 from yieldmon.engine.mass.totals import Totals
 from yieldmon.engine.mass.unseen import FlowAtStop
 from yieldmon.engine.sampling.zero import ZeroState
@@ -54,7 +55,7 @@ class EngineState:
     """windows: closed so far. sweep_due_in_s and calibration_age_s (None: not known) count from the moment of the snapshot.
     zero_undo: None where there is no zero calibration to take back. tickets: the newest, in the order they were entered.
     moisture: of the grain for which the parameters hold, None where none was measured. closed: the newest loads.
-    at_stop: None before the first frame."""
+    at_stop: None before the first frame. since_empty: mass since the plate was last seen empty."""
 
     totals: Totals = field(default_factory=Totals)
     zero: ZeroState | None = None
@@ -71,6 +72,7 @@ class EngineState:
     moisture: MoistureState | None = None
     closed: tuple[ClosedLoadState, ...] = ()
     at_stop: FlowAtStop | None = None
+    since_empty: tuple[LoadSinceEmpty, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Nested plain dict of numbers, fit for JSON."""
@@ -95,6 +97,7 @@ class EngineState:
             "moisture": None,
             "closed": (),
             "at_stop": None,
+            "since_empty": (),
         }
         data = {"disagreement": {"patterns": (), "present": False}, **later, **data}
         known = {item.name for item in fields(cls)}
@@ -111,6 +114,7 @@ class EngineState:
                 "tickets": tuple(TicketState(**ticket) for ticket in data["tickets"]),
                 "closed": tuple(ClosedLoadState.from_dict(load) for load in data["closed"] if _by_angle(load)),
                 "at_stop": _or_none(lambda kept: FlowAtStop(**kept), data["at_stop"]),
+                "since_empty": tuple(LoadSinceEmpty(**load) for load in data["since_empty"]),
                 "moisture": _or_none(lambda kept: MoistureState(**kept), data["moisture"]),
             }
             return cls(**{**data, **parts})

@@ -112,11 +112,14 @@ class LoadRegister:
         return self._state(number, before, budget, self.totals.total_budget.with_parameters(more_kg))
 
     def widen_zero(self, number: int, more_kg: float) -> LoadEvents:
-        """Increase the standard deviation of a load's mass by the zero; `NO_LOAD`: of the totals alone."""
+        """Increase the standard deviation of a load's mass by the zero; of `NO_LOAD`, or a load that is not known, that of the
+        totals alone."""
         total, before = self.totals.total_budget.with_zero(more_kg), self.budget(number)
-        if number == NO_LOAD:
+        if before is not None:
+            return self._state(number, before, before.with_zero(more_kg), total)
+        if number == NO_LOAD or number >= self.totals.first_load:
             self.totals = self.totals.with_budgets(load=self.totals.load_budget, total=total)
-        return () if before is None else self._state(number, before, before.with_zero(more_kg), total)
+        return ()
 
     def _state(self, number: int, before: MassBudget, budget: MassBudget, total: MassBudget) -> LoadEvents:
         """Set the budget of a known load. total: of the totals, where the load is in them."""

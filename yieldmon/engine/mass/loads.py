@@ -18,7 +18,7 @@ from yieldmon.engine.mass.load_summary import LoadClosed, LoadEvents, LoadOpened
 from yieldmon.engine.mass.missed_mass import NO_LOAD, MissedMass
 from yieldmon.engine.mass.shared_error import ClosedLoadState
 from yieldmon.engine.mass.silences import Missing, Silences
-from yieldmon.engine.mass.since_empty import SinceEmpty
+from yieldmon.engine.mass.since_empty import LoadSinceEmpty, SinceEmpty
 from yieldmon.engine.mass.totals import Totals, dry_mass
 from yieldmon.engine.mass.unseen import FlowAtStop, UnseenMass
 from yieldmon.engine.sampling.windows import Window
@@ -86,6 +86,7 @@ class Loads:
         """Set all masses to 0 and begin a load with the next number."""
         closed = self._close(now_s)
         self._unseen.total_kg = 0.0
+        self._since_empty.totals_reset()
         return (*closed, *self._open(self.totals.start_totals(), now_s))
 
     def stop(self, now_s: float) -> LoadEvents:
@@ -308,12 +309,20 @@ class Loads:
         known = [(number, budget) for number, budget in budgets if budget is not None and 0.0 < budget.std_dev_kg < inf]
         return tuple(self._errors.state(number, budget) for number, budget in known[-_KEPT_CLOSED:])
 
+    @property
+    def since_empty_states(self) -> tuple[LoadSinceEmpty, ...]:
+        """Mass since the plate was last seen empty, for `restore`."""
+        known = {state.number for state in self.closed_states}
+        return self._since_empty.states(known, self.totals.first_load)
+
     def as_stated(self, load: LoadSummary) -> LoadSummary:
         """A load of an earlier run with the budget that is kept of it, else as given."""
         return self._register.as_stated(load)
 
-    def restore(self, totals: Totals, before_stop: FlowAtStop | None = None) -> None:
-        """Continue from stored totals; grain since then was not measured. before_stop: what `at_stop` returned then."""
+    def restore(self, totals: Totals, before_stop: FlowAtStop | None = None, since_empty: Iterable[LoadSinceEmpty] = ()) -> None:
+        """Continue from stored totals; grain since then was not measured. before_stop, since_empty: what `at_stop` and
+        `since_empty_states` returned then."""
+        self._since_empty.resume(since_empty)
         self._errors.clear()
         self._register.restore(self._at_market(totals))
         stop = before_stop or FlowAtStop(nan, 0.0)

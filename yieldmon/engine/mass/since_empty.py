@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
+from math import isfinite
 
 from yieldmon.engine.mass.budget import FlowBudget
+from yieldmon.engine.mass.missed_mass import NO_LOAD
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSinceEmpty:
+    """What a load has since the plate was last seen empty; as in `SinceEmpty`, which keeps it over a restart."""
+
+    number: int
+    kg_per_n: float
+    zero_kg: float
 
 
 @dataclass(slots=True)
@@ -27,6 +39,26 @@ class SinceEmpty:
         if force_n > 0.0:
             self.kg_per_n[number] = self.kg_per_n.get(number, 0.0) + budget.per_error_kg_s / force_n * seconds
             self.zero_kg[number] = self.zero_kg.get(number, 0.0) + budget.zero_kg_s * seconds
+
+    def totals_reset(self) -> None:
+        """The totals begin anew: mass without a load is in none that is still counted."""
+        self.kg_per_n.pop(NO_LOAD, None)
+        self.zero_kg.pop(NO_LOAD, None)
+
+    def states(self, known: Container[int], first_load: int) -> tuple[LoadSinceEmpty, ...]:
+        """The sums for a restart. known: loads that are known after it; others from first_load on are in the total alone."""
+        sums = dict[int, tuple[float, float]]()
+        for number, kg_per_n in sorted(self.kg_per_n.items()):
+            key = number if number in known else NO_LOAD
+            if key != NO_LOAD or number == NO_LOAD or number >= first_load:
+                before_per_n, before_kg = sums.get(key, (0.0, 0.0))
+                sums[key] = before_per_n + kg_per_n, before_kg + self.zero_kg[number]
+        return tuple(LoadSinceEmpty(number, *both) for number, both in sums.items() if all(map(isfinite, both)))
+
+    def resume(self, states: Iterable[LoadSinceEmpty]) -> None:
+        """Inverse of `states`."""
+        self.kg_per_n = {state.number: state.kg_per_n for state in states}
+        self.zero_kg = {state.number: state.zero_kg for state in states}
 
     def recomputed(self, number: int) -> None:
         """The mass of a load was recomputed by another zero: its standard deviation is not that counted second by second."""

@@ -268,6 +268,7 @@ _SCRIPTS = (
     _VERSION_14,
     _VERSION_15,
     "",  # the monitor's state holds how a run ended, which an older version would take for damage
+    "",  # the same of the mass since the plate was last seen empty
 )
 _SQL_KINDS = {float: "REAL", int: "INTEGER", str: "TEXT"}
 _WITHOUT = {float: "0.0", int: "0", str: "''"}
