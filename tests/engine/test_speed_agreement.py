@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import isnan
@@ -10,6 +11,7 @@ import pytest
 from engine_bench import Bench, Kept, feed, monitor
 
 from yieldmon import frames as bus
+from yieldmon.engine.faults import FaultCode
 from yieldmon.engine.records import WindowRecord
 from yieldmon.frames import Frame
 
@@ -110,6 +112,11 @@ OTHERWISE = {
     "another plate once the grain has gone": Misreported(
         zero=lambda time_s: 150.0 + 100.0 * (time_s > 1051.0), flow=lambda time_s: harvest(time_s) * (time_s < 1050.0)
     ),
+    "something wedged while the shaft shakes the empty plate": Misreported(
+        zero=lambda time_s: 150.0 + 60.0 * (time_s > 1051.0),
+        flow=lambda time_s: harvest(time_s) * (time_s < 1050.0),
+        shaft_vibration_mv=6.0,
+    ),
     "vibration": Misreported(paddle_vibration_mv=4.0, shaft_vibration_mv=6.0, noise_mv=3.0),
 }
 
@@ -167,3 +174,58 @@ def test_nothing_else_puts_the_speed_in_doubt(bench: Misreported) -> None:
 def test_a_speed_that_becomes_right_is_in_doubt_no_more() -> None:
     kept = measured(Misreported(reported=lambda time_s: 400.0 if time_s >= 1050.0 else 440.0))
     assert doubted(kept)[1:] == ["gone"]
+
+
+def slipping(share: float) -> Callable[[float], float]:
+    """The chain from 1045 s on, which the speed frames do not follow."""
+    return lambda time_s: 400.0 * (share if time_s >= 1045.0 else 1.0)
+
+
+def doubts(kept: Kept) -> list[str]:
+    return [event.detail for event in kept.fault_events if event.code == "WaveformContradicts" and event.active]
+
+
+@pytest.mark.parametrize("share", [0.95, 0.97, 0.98, 1.03, 1.05])
+def test_a_chain_that_begins_to_slip_is_said_and_widens_the_flow(share: float) -> None:
+    kept = measured(Misreported(rpm=slipping(share)))
+    (event,) = [event for event in kept.fault_events if event.code == "WaveformContradicts"]
+    assert 1050.0 < event.time_s < 1062.0
+    shown = re.fullmatch(
+        r"at 400 rpm the pulses of the grain come (\d\.\d) % (slower|faster) than they did at first: check chain or belt "
+        "slip and the speed sensor",
+        kept.faults.detail(FaultCode.WAVEFORM_CONTRADICTS),
+    )
+    assert shown
+    assert float(shown[1]) == pytest.approx(100.0 * abs(1.0 - share), abs=0.3)
+    assert shown[2] == ("slower" if share < 1.0 else "faster")
+    before, after = (next(r for r in kept.records if r.time_s > at_s) for at_s in (1043.0, 1063.0))
+    assert (after.std_dev_kg_s**2 - before.std_dev_kg_s**2) ** 0.5 == pytest.approx(FLOW_KG_S * abs(1.0 - share), rel=0.2)
+
+
+def test_a_reported_speed_that_stays_while_the_elevator_droops_is_said() -> None:
+    kept = measured(Misreported(rpm=lambda time_s: 400.0 - min(max(time_s - 1040.0, 0.0), 10.0)))
+    assert len(doubts(kept)) == 1
+
+
+def test_a_change_that_goes_back_is_gone() -> None:
+    course = lambda time_s: 400.0 * (0.97 if 1045.0 <= time_s < 1058.0 else 1.0)  # noqa: E731
+    kept = measured(Misreported(rpm=course))
+    assert [event.active for event in kept.fault_events if event.code == "WaveformContradicts"] == [True, False]
+
+
+@pytest.mark.parametrize("share", [0.988, 1.012])
+def test_a_change_of_little_more_than_a_percent_is_none(share: float) -> None:
+    assert doubts(measured(Misreported(rpm=slipping(share)))) == []
+
+
+def in_passes(time_s: float) -> float:
+    return harvest(time_s) * ((time_s - 1012.0) % 30.0 < 18.0)
+
+
+def test_a_doubt_stays_from_pass_to_pass_with_the_speed_it_was_seen_at() -> None:
+    """Between them the elevator stands."""
+    turning = lambda time_s: 400.0 if in_passes(time_s) or time_s < 1012.0 else 0.5  # noqa: E731
+    bench = Misreported(flow=in_passes, rpm=turning, reported=lambda time_s: 1.1 * turning(time_s))
+    kept = measured(bench)
+    assert doubted(kept) == ["the pulses of the grain do not come at the rate of 440"]
+    assert "rate of 440 rpm" in kept.faults.detail(FaultCode.WAVEFORM_CONTRADICTS)

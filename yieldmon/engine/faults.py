@@ -212,12 +212,6 @@ def _speed_missing(o: Observation) -> str | None:
     return f"{o.speed_rpm:.0f} rpm, but grain strikes the plate"
 
 
-def _speed_doubted(o: Observation) -> str | None:
-    if not o.reading.speed_doubted:
-        return None
-    return f"the pulses of the grain do not come at the rate of {o.speed_rpm:.0f} rpm: check the speed's scale and chain slip"
-
-
 REPORTED = None
 """The service around the engine sees the condition, see `health.FaultBook.report`."""
 
@@ -396,7 +390,7 @@ _TABLE = (
         "Pulse shape or kernel noise contradicts the mean force, or the pulses do not fit the model or elevator speed.",
         "One of the two is wrong. The published flow is that of the mean force.",
         "Weigh a load. Check speed, plate, density and kernel weight. Run yieldmon diagnose on the store.",
-        lambda o: o.waveform.contradiction or _speed_doubted(o),
+        lambda o: o.waveform.contradiction or o.reading.speed_doubt or None,
     ),
     FaultDefinition(
         _C.MASS_NEAR_END, 520209, 0, _W, 1, 1,

@@ -186,6 +186,9 @@ class FlowMeter:
             # The parameters' own allowance for angles away from home is replaced by what sweeps show.
             away, at_home = angle_error_beyond(parameters, np.array([angle_rad, self._home_rad]))
             common = max(0.0, common**2 - max(0.0, away**2 - at_home**2) * per_error**2) ** 0.5
+        if reading.speed_change != 0.0:
+            # At one fill the force grows with the square of the speed, and fill with flow over speed.
+            common = hypot(common, reading.speed_change * (2.0 * per_error - rate))
         return flow_budget(
             self._settings.sweep,
             model_error,

@@ -50,8 +50,11 @@ class Reading:
         Whether it is at the window's end.
     speed_contradicted : bool
         Whether the pulses on the plate come at another rate, so that it counts as not known.
-    speed_doubted : bool
-        Whether they do so as far back as they were seen, by a wrong scale of the speed or a chain that slips; it counts as known.
+    speed_doubt : str
+        How the pulses came at another rate when grain was last seen, by a wrong scale of the speed or a chain that slips; ""
+        where they did not. The speed counts as known.
+    speed_change : float
+        Relative change of the speed's error since grain was first seen, by the pulses; 0 for none.
     in_range : bool
         Whether grain is measured at this speed.
     stuck_s : int
@@ -93,7 +96,8 @@ class Reading:
     speed_rad_s: float
     speed_known: bool
     speed_contradicted: bool
-    speed_doubted: bool
+    speed_doubt: str
+    speed_change: float
     in_range: bool
     stuck_s: int
     struck_s: int
@@ -249,12 +253,12 @@ class Measurement:
         self._since_jump = 0 if clock_jumps != self._jumps else self._since_jump + 1
         self._jumps = clock_jumps
         speed = window.speed_rad_s if speed_was_known else _NAN
-        zero = self.zero
+        zero, agreement = self.zero, self._agreement
         moved_mv = self._moved_mv(window, zero_before, age_before_s, taken=taken)
         self._follow_step(window, force, usable=quality is None and still and at_home, seen=isfinite(moved_mv))
         return _reading(
             window, inputs, quality, force, noise, speed, inputs.speed_known, contradicted,
-            self._agreement is not None and self._agreement.doubted, in_range, self._stuck_s,
+            "" if agreement is None else agreement.doubt, 0.0 if agreement is None else agreement.change, in_range, self._stuck_s,
             self._struck_s, still, at_home, self._gate.harvesting, zero.state, self._zero_drift, zero.calibrating, sampled_before,
             silent_before, self._since_jump, taken, self._zero_age_s(window), self._zero_away_mv(window, doubted_mv), zero.far_mv,
             moved_mv, zero.refusal,
@@ -327,7 +331,7 @@ class Measurement:
         grain_mv = window.mean_mv - zero.zero_mv
         if not grain_mv * self._machine.sensor.gain_n_per_mv > settings.gate.certain_force_n:
             return False
-        return self._agreement.contradicted(window, grain_mv)
+        return self._agreement.contradicted(window, grain_mv, pulses=self.zero.pulses(window))
 
     def _struck_at_rest(self, window: Window, force_n: float) -> bool:
         """Whether grain strikes the plate although the elevator is reported to stand."""

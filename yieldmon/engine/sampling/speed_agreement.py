@@ -7,18 +7,17 @@ with it. Multiples of the rate do not count: one of them may be a multiple of th
 
 A speed that is wrong from the beginning, or a chain that slips, never shows the amplitude; then pulses of a large range have next
 to none at the reported rate. Where it is wrong by less, the phase of the pattern's slowest wave advances by as much from each
-second to the next.
+second to the next (`phase_advance.py`); a change of that advance is seen from 1.5 % of the speed on.
 """
 
 from __future__ import annotations
 
-from cmath import phase
 from collections import deque
-from math import pi
 from statistics import median
 
+from yieldmon.engine.sampling.phase_advance import PhaseAdvance
 from yieldmon.engine.sampling.windows import Window
-from yieldmon.physics.machine import Machine
+from yieldmon.physics.machine import RPM, Machine
 
 _KEPT, _LEAST = 30, 10
 """Newest windows that agree, with which a window is compared, and how many there must be."""
@@ -33,31 +32,27 @@ _NEVER_OF_MEAN, _NEVER_OF_RANGE, _CLEAR = 0.3, 0.12, 2.0
 relative to the mean."""
 _IN_A_ROW = 10
 """Seconds in a row that show a speed which is wrong from the beginning."""
-_ALIGNED = 0.9
-"""Least length of the mean of their phases' turns, each of length 1: 0 for chance, 1 for a steady advance."""
-_WRONG = 0.05
-"""Least relative error of the speed by the phase: the geometry in a machine file may be off by some percent."""
-_MOST_TURNS = 0.45
-"""Most of a turn between two seconds from which its sign is known."""
 
 
 class SpeedAgreement:
     """Compares the pulses of each window with grain with those of the windows before."""
 
     def __init__(self, machine: Machine) -> None:
-        self._machine = machine
         self._paddles = len(machine.paddle_spacings_m)
         self._over_mean: deque[float] = deque(maxlen=_KEPT)
         self._over_range: deque[float] = deque(maxlen=_KEPT)
-        self.doubted = False
-        """Whether the last windows' pulses come at another rate than that of the reported speed since they were first seen."""
         self._never = 0
         """Seconds in a row without pulses at the reported rate."""
-        self._turns: deque[complex] = deque(maxlen=_IN_A_ROW)
-        """Advances of the phase from one second to the next."""
-        self._last: Window | None = None
+        self._advance = PhaseAdvance(machine)
+        self.doubt = ""
+        """What the last windows with grain showed of the reported speed, for the operator; "" for nothing."""
 
-    def contradicted(self, window: Window, grain_mv: float) -> bool:
+    @property
+    def change(self) -> float:
+        """Relative change of the error of the reported speed since grain was first seen; 0 for none."""
+        return self._advance.change
+
+    def contradicted(self, window: Window, grain_mv: float, *, pulses: bool = True) -> bool:
         """Whether the window's pulses contradict its speed.
 
         Parameters
@@ -66,6 +61,8 @@ class SpeedAgreement:
             With grain, whole, with samples of one sensor.
         grain_mv : float
             Its mean less the zero, mV, above 0.
+        pulses : bool
+            Whether what keeps step with the paddles is more than vibration.
 
         Returns
         -------
@@ -74,9 +71,10 @@ class SpeedAgreement:
         """
         if not window.span_mv > 0.0:
             return False
-        advances = self._advances(window)
-        self.doubted = self._never_shown(window, grain_mv) or advances
-        if self.doubted:
+        self._advance.see(window, pulses=pulses)
+        wrong = self._never_shown(window, grain_mv) or self._advance.wrong
+        self.doubt = self._doubt(window, wrong=wrong)
+        if wrong:
             return False
         amplitude_mv = self._amplitude_mv(window)
         over_mean, over_range = amplitude_mv / grain_mv, amplitude_mv / window.span_mv
@@ -100,18 +98,17 @@ class SpeedAgreement:
         self._never = self._never + 1 if never else 0
         return self._never >= _IN_A_ROW
 
-    def _advances(self, window: Window) -> bool:
-        """Whether the pattern's phase has advanced steadily over the last windows, as it does by a wrong speed."""
-        last, self._last = self._last, window
-        seconds, speed_m_s = window.end_s - window.start_s, float(self._machine.paddle_speed_m_s(window.speed_rad_s))
-        patterns = speed_m_s * seconds / self._machine.pattern_length_m
-        if last is None or last.end_s != window.start_s or not (last.harmonics_mv and window.harmonics_mv):
-            self._turns.clear()
-            return False
-        turn = window.harmonics_mv[0] * last.harmonics_mv[0].conjugate()
-        self._turns.append(turn / abs(turn) if turn else 0j)
-        mean = sum(self._turns) / _IN_A_ROW
-        return abs(mean) > _ALIGNED and _WRONG * patterns < abs(phase(mean)) / (2.0 * pi) and _WRONG * patterns < _MOST_TURNS
+    def _doubt(self, window: Window, *, wrong: bool) -> str:
+        rpm = window.speed_rad_s / RPM
+        if change := self.change:
+            sign = "faster" if change > 0.0 else "slower"
+            return (
+                f"at {rpm:.0f} rpm the pulses of the grain come {100.0 * abs(change):.1f} % {sign} than they did at first: check "
+                "chain or belt slip and the speed sensor"
+            )
+        if not wrong:
+            return ""
+        return f"the pulses of the grain do not come at the rate of {rpm:.0f} rpm: check the speed's scale and chain slip"
 
     def _amplitude_mv(self, window: Window) -> float:
         """At the rate of the paddles; of all known multiples of the pattern's rate where it has more paddles than these."""
