@@ -30,7 +30,7 @@ from yieldmon.estimation.waveform.channel_combination import combine
 from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
 from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
 from yieldmon.files import pulse_shape_file
-from yieldmon.frames import GRAIN_KERNELS, Frame
+from yieldmon.frames import ELEVATOR_SPEED, GRAIN_KERNELS, Frame
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import ForwardModel
 from yieldmon.plant.combine import VirtualCombine
@@ -120,6 +120,21 @@ def test_outside_what_is_calibrated_no_flow_by_shape_is_given_and_the_mean_force
 def test_within_the_range_records_say_that_the_shape_is_used() -> None:
     assert {r.shape_verdict for r in harvested(enabled=True)} == {ShapeVerdict.USED}
     assert {r.shape_verdict for r in harvested()} == {ShapeVerdict.NOT_LOOKED_AT}
+
+
+def test_a_zero_or_speed_that_is_missing_is_not_called_missing_samples() -> None:
+    monitor = looking(replace(WaveformSettings(), shape=LAW, enabled=True))
+    slow = [
+        frame._replace(signals={"ElevatorSpeed": 200.0}) if frame.message == ELEVATOR_SPEED and frame.time_s > 20.0 else frame
+        for frame in traffic()
+    ]
+    verdicts = [record.shape_verdict for record in records_in(monitor.feed_run(as_run(slow)))]
+    without = next(place for place, verdict in enumerate(verdicts) if verdict is not ShapeVerdict.NO_ZERO)
+    assert without >= 1
+    assert ShapeVerdict.NO_SAMPLES not in verdicts
+    assert verdicts[-1] is ShapeVerdict.SPEED_OUT_OF_RANGE
+    assert monitor.waveform is not None
+    assert monitor.waveform.shape_reason == "the elevator speed is outside the measuring range"
 
 
 def test_the_terms_of_the_file_move_the_flow() -> None:

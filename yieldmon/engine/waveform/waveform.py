@@ -44,7 +44,8 @@ def _without(verdict: ShapeVerdict, reason: str, kernels: KernelVerdict = Kernel
 
 _NO_WINDOW = "no second has been measured yet"
 _NO_TRACE = "samples are missing, or more than one sensor carries the plate"
-_NO_ZERO = "no zero-load voltage, or the sensor is out of range"
+_NO_ZERO = ShapeVerdict.NO_ZERO, "no zero-load voltage has been measured yet"
+_OTHER_SPEED = ShapeVerdict.SPEED_OUT_OF_RANGE, "the elevator speed is outside the measuring range"
 _NO_GRAIN = "no grain"
 _NOT_STILL = "no flow from the mean force, or the plate moves"
 _NO_PULSES = "no pulse of the model fits the samples"
@@ -91,7 +92,7 @@ class Waveform:
             few = f"{trace.samples_mv.size} samples a second, at least {SEGMENT} are needed"
             return _without(ShapeVerdict.NO_SAMPLES, few, KernelVerdict.NO_BAND)
         if reading.zero is None or not reading.in_range:
-            return _without(ShapeVerdict.NO_SAMPLES, _NO_ZERO)
+            return _without(*(_NO_ZERO if reading.zero is None else _OTHER_SPEED))
         force_n = (trace.samples_mv - reading.zero.zero_mv) * self._machine.sensor.gain_n_per_mv
         if not reading.harvesting:
             self._kernel_channel.empty(force_n, trace.interval_s, reading.force_n)

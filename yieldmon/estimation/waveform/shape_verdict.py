@@ -16,3 +16,5 @@ class ShapeVerdict(IntEnum):
     NO_PULSES = 5
     FEW_TURNS = 6
     OUTSIDE_CALIBRATION = 7
+    NO_ZERO = 8
+    SPEED_OUT_OF_RANGE = 9
