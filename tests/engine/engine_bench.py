@@ -196,8 +196,9 @@ class Bench:
 class Actuator:
     """A plate actuator with a rate limit, and the ways in which it can fail.
 
-    fault: "" none; "stuck" does not move; "silent" sends no feedback; "lying" stays and reports the target; "manual" is held by
-    hand and says so; "broken" reports a fault. Each from fault_from_s to fault_to_s.
+    fault: "" none; "stuck" does not move; "frozen" moves and reports the angle at which it was; "silent" sends no feedback;
+    "lying" stays and reports the target; "manual" is held by hand and says so; "broken" reports a fault. Each from fault_from_s
+    to fault_to_s.
     """
 
     rate_deg_s: float = 25.0
@@ -206,6 +207,7 @@ class Actuator:
     fault_to_s: float = float("inf")
     angle_deg: float = HOME_DEG
     target_deg: float | None = None
+    reported_deg: float = HOME_DEG
     modes: list[int] = field(default_factory=list)
     targets: list[float] = field(default_factory=list)
 
@@ -244,6 +246,7 @@ class Actuator:
             state = bus.ActuatorState.MANUAL
         if self.faulty(time_s, "broken"):
             state = bus.ActuatorState.FAULT
+        self.reported_deg = angle = self.reported_deg if self.faulty(time_s, "frozen") else angle
         return Frame(time_s, bus.PLATE_ACTUATOR_FEEDBACK, {"PlateAngle": angle, "ActuatorState": int(state)})
 
 

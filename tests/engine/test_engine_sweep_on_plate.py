@@ -191,6 +191,22 @@ def test_implausible_plate_feedback_is_found_by_the_force() -> None:
     assert calibrator.given == []
 
 
+FROZEN_AWAY_S = 1029.5
+"""The plate rests at 40 degrees."""
+
+
+@pytest.mark.parametrize("from_s", [1000.0, FROZEN_AWAY_S], ids=["at home", "at 40 degrees"])
+def test_a_flow_is_right_within_its_deviation_once_the_feedback_of_a_moving_plate_is_known_to_stay(from_s: float) -> None:
+    target, actuator = monitor(SETTINGS), Actuator(fault="frozen", fault_from_s=from_s)
+    run_with_actuator(target, BENCH, actuator, 70.0)
+    known_s = next(e.time_s for e in target.fault_events if e.code == FaultCode.PLATE_NOT_FOLLOWING)
+    first_away_s = 1000.0 + SETTINGS.sweep.first_after_s + 4.0
+    assert known_s < max(from_s, first_away_s) + 8.0
+    after = [record for record in target.records if record.time_s > known_s + 8.0]
+    assert max(abs(record.mass_flow_kg_s - 10.0) / record.std_dev_kg_s for record in after) < 2.5
+    assert actuator.angle_deg == pytest.approx(HOME_DEG, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("bench", "reason"),
     [

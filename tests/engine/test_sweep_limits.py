@@ -258,7 +258,7 @@ def test_a_withdrawn_request_leaves_the_schedule_as_it_was() -> None:
     ],
 )
 def test_a_plate_that_did_not_follow_is_reported_until_it_follows(how: SweepAbort, stays: bool) -> None:
-    """However it came home; the next movement that arrives ends it."""
+    """However it came home; the next movement that arrives ends it, and the first step of a sweep, at home, is none."""
     sweep = moving().tick(3.875 + BEYOND, 50.0)
     assert (sweep.machine.not_following, sweep.machine.abort_reason) == (True, SweepAbort.NOT_FOLLOWING)
     sweep.tick(1.0)
@@ -270,8 +270,28 @@ def test_a_plate_that_did_not_follow_is_reported_until_it_follows(how: SweepAbor
     assert sweep.machine.not_following is stays
     sweep.machine.request()
     assert begun(sweep)
-    settling(sweep)
+    measuring(sweep)
+    assert sweep.machine.not_following is stays
+    sweep.now += 2.0
+    sweep.window()
+    sweep.window()
+    settling(sweep, 40.0)
     assert not sweep.machine.not_following
+
+
+def test_a_plate_whose_feedback_stays_at_home_is_driven_home_all_the_same() -> None:
+    """For as long as it may have travelled, and 2 s."""
+    sweep = moving().tick(3.875 + BEYOND)
+    assert (sweep.machine.abort_reason, sweep.demand) == (SweepAbort.NOT_FOLLOWING, PlateDemand(CommandMode.GO_HOME))
+    sweep.tick(3.875 - BEYOND)
+    assert (sweep.state, sweep.demand) == (S.RETURNING, PlateDemand(CommandMode.GO_HOME))
+    sweep.tick(BEYOND)
+    assert (sweep.state, sweep.demand, sweep.machine.not_following) == (S.ABORTED, PlateDemand(CommandMode.RELEASE), True)
+
+
+def test_a_plate_whose_feedback_moves_is_home_when_it_says_so() -> None:
+    sweep = moving().tick(3.875 + BEYOND, 50.0).tick(0.125)
+    assert (sweep.state, sweep.demand) == (S.ABORTED, PlateDemand(CommandMode.RELEASE))
 
 
 def test_a_plate_that_does_not_come_home_in_time_is_reported() -> None:

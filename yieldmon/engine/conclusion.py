@@ -165,7 +165,9 @@ class Conclusion:
     def _by_mean_force(self, reading: Reading, estimate: Estimate | None, estimator: FlowEstimator) -> Flow:
         parts = self._parts
         old = parts.faults.is_active(FaultCode.CALIBRATION_OLD)
-        circumstances = Circumstances(parts.plate.sweep.visiting, old, parts.updater.load_error, parts.updater.drift_sd)
+        sweep, updater = parts.plate.sweep, parts.updater
+        doubted = sweep.not_following and sweep.abort_reason is not None
+        circumstances = Circumstances(sweep.visiting, old, updater.load_error, updater.drift_sd, doubted)
         return parts.flow_meter.flow(reading, estimate, estimator, circumstances)
 
     def _corrected(self, by_mean_force: Flow, end_s: float, estimator: FlowEstimator) -> Flow:

@@ -68,13 +68,15 @@ class Circumstances(NamedTuple):
     """What a flow depends on beside its window.
 
     sweeping: a sweep is under way. calibration_old: the fault CalibrationOld is shown. model_error: of the force, as sweeps show.
-    drift_sd: relative standard deviation of the force by drift since the last update.
+    drift_sd: relative standard deviation of the force by drift since the last update. plate_doubted: plate or feedback did not
+    follow in the last sweep, after which the plate was commanded home.
     """
 
     sweeping: bool
     calibration_old: bool
     model_error: AngleError = NO_ERROR
     drift_sd: float = 0.0
+    plate_doubted: bool = False
 
 
 def estimates(estimator: FlowEstimator, readings: Sequence[Reading]) -> list[Estimate | None]:
@@ -127,6 +129,9 @@ class FlowMeter:
             # A curve gives the same flow at any angle; its standard deviation at the other angle contains the error.
             change, there = _change_by_angle(reading, rate, estimator, held_rad)
             std_dev = hypot(std_dev, change if change > 0.0 else there)
+        elif circumstances.plate_doubted and not (reading.at_home or circumstances.sweeping):
+            away_rad = reading.window.plate_angle_rad - self._home_rad
+            std_dev = hypot(std_dev, _change_by_angle(reading, rate, estimator, away_rad)[0])
         saturated = status is FlowStatus.SATURATED or reading.window.saturated_share >= self._settings.windows.saturated_share
         outside = status is FlowStatus.OUTSIDE_CALIBRATION
         quality = self._quality(reading, saturated, outside, circumstances)

@@ -29,6 +29,9 @@ class SweepMachine(PlateSweep):
         self._on_target_s: float | None = None
         self._away_s: float | None = None
         self._home_try_s = -inf
+        self._moves = False
+        """Whether the angle of the step differs from that at which the plate was when it began."""
+        self._driven_home_until_s = -inf
 
     def request(self) -> None:
         """Operator: sweep as soon as the conditions hold, due or not."""
@@ -138,16 +141,23 @@ class SweepMachine(PlateSweep):
             self.completed = True
             return
         self.step += 1
-        travel_s = abs(self.sequence[self.step] - angle_deg) / self._plate.max_rate_deg_s
-        self._enter(SweepState.MOVING, now_s + travel_s + self._settings.move_margin_s)
+        self._moves = abs(self.sequence[self.step] - angle_deg) > self._plate.at_target_tolerance_deg
+        self._enter(SweepState.MOVING, now_s + self._travel_s(angle_deg))
+
+    def _travel_s(self, angle_deg: float) -> float:
+        """Longest time between an angle and that of the step."""
+        return abs(self.sequence[self.step] - angle_deg) / self._plate.max_rate_deg_s + self._settings.move_margin_s
 
     def _move(self, plate: PlateReading) -> None:
         if self._on_target(plate):
-            self.not_following = False
+            self.not_following = self.not_following and not self._moves
             self._enter(SweepState.SETTLING, plate.time_s + self._settings.settle_timeout_s)
             self._on_target_s = plate.time_s
         elif plate.time_s > self._deadline_s:
             self.not_following = True
+            if self._is_home(plate.angle_deg):
+                # The plate may have moved all the same, with feedback that stays.
+                self._driven_home_until_s = plate.time_s + self._travel_s(self._home_deg)
             self._abort(plate.time_s, SweepAbort.NOT_FOLLOWING)
 
     def _settle(self, plate: PlateReading) -> None:
@@ -166,6 +176,8 @@ class SweepMachine(PlateSweep):
     def _return(self, plate: PlateReading) -> PlateDemand:
         now = plate.time_s
         if abs(plate.angle_deg - self._home_deg) <= self._plate.at_target_tolerance_deg:
+            if now < self._driven_home_until_s:
+                return GO_HOME
             self.not_following = self.not_following and self.abort_reason in _ACTUATOR_REASONS
         elif plate.state is ActuatorState.MANUAL:
             # Manual control has priority; afterwards the plate is found away from home and driven there.
