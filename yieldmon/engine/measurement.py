@@ -146,6 +146,8 @@ class Measurement:
         """Why the last window could not be shown to the zero."""
         self._stuck_s = 0
         self._struck_s = 0
+        self._was_hung = False
+        """Whether the sensor hung in the last window."""
         self._scatter = PaddleScatter(settings.windows)
         self._agreement = None if slow else SpeedAgreement(machine)
         self._sampled = self._ever_sampled = False
@@ -279,12 +281,23 @@ class Measurement:
             # Pulses on a plate that reads far below empty: the zero is wrong.
             hidden = self.hides_grain(force) or (gate.pulses and force < -self._settings.gate.certain_force_n)
             return quality.NOT_AVAILABLE if hidden or (grain and not in_range) else quality.NOT_HARVESTING, force, noise
-        held_long = window.held_s > 0.5 * self._settings.windows.window_s and abs(force) > self._settings.gate.grain_on_n
-        if held_long:
+        hung = abs(force) > self._settings.gate.grain_on_n and self._hung(window, zero.zero_mv)
+        # The ramp of a window reaches into the one before.
+        reaches, self._was_hung = self._was_hung, hung
+        if hung or (reaches and grain):
             return quality.NOT_AVAILABLE, force, noise
         # The state lasts some seconds beyond the grain; a second without grain is not a flow of 0.
         nothing = quality.NOT_AVAILABLE if self.hides_grain(force) else quality.NOT_HARVESTING
         return None if grain else nothing, force, noise
+
+    def _hung(self, window: Window, zero_mv: float) -> bool:
+        """Whether the samples of a window with a force stayed at one value for too long, other than that of the empty plate."""
+        if window.held_s > 0.5 * self._settings.windows.window_s:
+            return True
+        # Of several sensors the level at which one hung is not known.
+        empty_n = abs(window.frozen_mv - zero_mv) * self._machine.sensor.gain_n_per_mv
+        at_empty = empty_n <= self._settings.gate.grain_on_n
+        return window.frozen_s > 0.0 and not at_empty and not window.saturated_share > 0.0
 
     def hides_grain(self, force_n: float) -> bool:
         """Whether the force means grain by the zero before, although the suspect zero in use shows an empty plate."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import hypot, sqrt
+from math import hypot, nan, sqrt
 
 import numpy as np
 
@@ -130,7 +130,7 @@ class RunFeeding:
 
 def combined(windows: Sequence[Window]) -> Window:
     """One window of several sensors that carry the plate together: voltages add up; the worst sensor determines coverage."""
-    first = windows[0]
+    first, hung = windows[0], max(windows, key=lambda w: w.frozen_s)
     harmonics: tuple[complex, ...] = tuple(sum(column) for column in zip(*(w.harmonics_mv for w in windows), strict=False))
     return replace(
         first,
@@ -148,6 +148,8 @@ def combined(windows: Sequence[Window]) -> Window:
         last_frame_s=min(w.last_frame_s for w in windows),
         span_mv=min(w.span_mv for w in windows),
         held_s=max(w.held_s for w in windows),
+        frozen_s=hung.frozen_s,
+        frozen_mv=nan,
         saturated_share=max(w.saturated_share for w in windows),
         sensor_fault_frames=max(w.sensor_fault_frames for w in windows),
         lost_frames=sum(w.lost_frames for w in windows),

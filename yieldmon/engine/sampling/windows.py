@@ -20,6 +20,7 @@ from yieldmon.engine.fast_dataclasses import maker_of
 from yieldmon.engine.interpolation import InterpolatedSignal, Knots
 from yieldmon.engine.sampling import segments
 from yieldmon.engine.sampling.cut_off import cut_off
+from yieldmon.engine.sampling.frozen import frozen
 from yieldmon.engine.sampling.sample_frames import SampleBuffer, SampleFrames
 from yieldmon.engine.sampling.window_means import Leftover, pulse_harmonics, weighted_means
 from yieldmon.engine.sampling.window_spread import extremes, scatter
@@ -67,8 +68,9 @@ class Window:
     plate angles of a second sender (disputed: which of them); repeated_frames: same counter twice (one is used). last_frame_s:
     engine time of the last sample frame until now.
     saturated_share: samples at the range's end, or at a ceiling below it (`cut_off`); ceiling_mv: that, 0: none.
-    span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. plate_min_rad ..
-    plate_max_rad: over the whole support.
+    span_mv: largest less smallest sample. held_s: how long the last sample had not moved at the end. frozen_s, frozen_mv: longest
+    time at one value, 0 for none longer than grain's pulses, and that value. plate_min_rad .. plate_max_rad: over the whole
+    support.
     """
 
     start_s: float
@@ -98,6 +100,8 @@ class Window:
     disputed: str = ""
     ceiling_mv: float = 0.0
     pattern_means_mv: tuple[float, ...] = ()
+    frozen_s: float = 0.0
+    frozen_mv: float = 0.0
     trace: Trace | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -210,7 +214,7 @@ class WindowBuilder:
             span, held * self._sample_interval_s, saturated, segments.count(frames.fault, frames.bounds),
             frames.lost, frames.surplus + rival_speeds + rival_angles, frames.repeated,
             [_DISPUTED[speed > 0, angle > 0] for speed, angle in zip(rival_speeds.tolist(), rival_angles.tolist(), strict=True)],
-            ceiling, means_mv,
+            ceiling, means_mv, *frozen(frames, self._sample_interval_s),
         )  # fmt: skip
         lists = (column.tolist() if isinstance(column, np.ndarray) else column for column in columns)
         if not self._traces:
