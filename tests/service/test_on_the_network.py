@@ -217,14 +217,16 @@ def test_a_hostile_node_stops_nothing(tmp_path: Path, name: str) -> None:
         wait_for(reported, "NetworkFault")
 
 
-def test_network_off_sends_as_the_dbc_says(tmp_path: Path) -> None:
-    with running(tmp_path, TEXT + "\nnetwork: {enabled: false}") as bench:
+def test_network_off_sends_as_the_dbc_says(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO", "yieldmon"), running(tmp_path, TEXT + "\nnetwork: {enabled: false}") as bench:
         say(bench, 0x18EA8317, "E5FE00")
         bench.play(3, 0.0)
         bench.played()
         wait_for(lambda: bool(sent(bench)), "frames")
         assert {parts.group for parts, _ in sent(bench)}.isdisjoint({ADDRESS_CLAIMED, REQUEST, ACKNOWLEDGEMENT})
         assert {parts.source for parts, _ in sent(bench)} == {US}
+    said = [record.getMessage() for record in caplog.records if record.getMessage().startswith("network:")]
+    assert said == [f"network: off; frames are sent from the DBC's addresses, DM1 from {US}"]
 
 
 def test_can_j1939_sees_all_codes_at_once(tmp_path: Path) -> None:

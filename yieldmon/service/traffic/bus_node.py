@@ -199,9 +199,12 @@ class BusNode:
         if self._link.address == self._address:
             return False
         self._address = self._link.address
-        preferred = self._configuration.document.network.preferred_address
+        network = self._configuration.document.network
+        preferred = network.preferred_address
         claims_anew, self._claims_anew = self._claims_anew, False
-        if self._address is None:
+        if not network.enabled:
+            _log.info("network: off; frames are sent from the DBC's addresses, DM1 from %d", preferred)
+        elif self._address is None:
             if not claims_anew:
                 _log.warning("network: our address was taken, another one is claimed")
         elif self._address != preferred:
