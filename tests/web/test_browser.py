@@ -19,6 +19,7 @@ import pytest
 from tests.service.bench import running
 from tests.web.browser import ASKED, CAB, OFFICE, READY, Watched, chromium
 from tests.web.standin import StandIn, fault, page, standing_in
+from yieldmon.engine.faults import FAULTS
 from yieldmon.files import parameter_file
 from yieldmon.service.operator.control_client import ask as ask_daemon
 from yieldmon.service.storage.batch import FaultEvent, Load, ParameterVersion, SweepRecord
@@ -86,6 +87,34 @@ def test_a_fault_comes_and_goes(browser: Browser, daemon: StandIn, site: str) ->
             daemon.faults = []
         watched.wait("document.querySelectorAll('.fault').length === 0")
         same_site(watched, site)
+
+
+def test_in_the_cab_two_faults_are_read_whole_and_all_are_named(browser: Browser, daemon: StandIn, site: str) -> None:
+    """The two with the longest texts; of six, all names stay in view where the texts are scrolled."""
+    longest = sorted(FAULTS.values(), key=lambda row: len(row.effect + row.remedy), reverse=True)
+    told = [fault(row.code.value) | {"effect": row.effect, "remedy": row.remedy, "severity": "warning"} for row in longest[:6]]
+    with Watched(browser, CAB) as watched:
+        watched.page.goto(site)
+        try:
+            for count in (2, 6):
+                daemon.faults = told[:count]
+                watched.wait(f"document.querySelectorAll('.fault').length === {count}")
+                lines = ".fault" if count == 2 else ".fault-names"
+                if count == 6:
+                    watched.evaluate("document.getElementById('faults').scrollTo(0, 10000)")
+                inside = (
+                    "(() => { const box = document.getElementById('faults').getBoundingClientRect();"
+                    f" return [...document.querySelectorAll('{lines}')].map((line) => line.getBoundingClientRect())"
+                    ".every((line) => line.top >= box.top && line.bottom <= box.bottom + 1); })()"
+                )
+                assert watched.evaluate(inside)
+                names = ", ".join(row["code"] for row in told[:count])
+                assert watched.page.inner_text(".fault-names") == f"{count} faults: {names}"
+                assert watched.evaluate(FITS)
+                assert watched.evaluate("document.querySelector('#trend').getBoundingClientRect().height > 120")
+        finally:
+            daemon.faults = []
+        watched.wait("document.querySelectorAll('.fault').length === 0")
 
 
 def test_markup_in_names_stays_text(browser: Browser, tmp_path: Path) -> None:

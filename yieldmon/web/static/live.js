@@ -108,11 +108,15 @@ function showFaults() {
   const text = JSON.stringify([waits, state.zero_mv === null, state.faults.map((fault) => [fault.code, fault.detail])]);
   if (text === shownFaults) return;
   shownFaults = text;
-  document.getElementById("faults").replaceChildren(...state.faults.map((fault) => {
+  const lines = state.faults.map((fault) => {
     const line = make("p", "", `fault ${fault.severity}`);
     line.append(make("strong", fault.code + (fault.detail ? ` (${fault.detail})` : "")), ` ${fault.effect} ${fault.remedy}`);
     return line;
-  }));
+  });
+  // Stays in view where the lines below have to be scrolled.
+  const names = state.faults.map((fault) => fault.code).join(", ");
+  if (lines.length > 1) lines.unshift(make("p", `${lines.length} faults: ${names}`, "fault-names"));
+  document.getElementById("faults").replaceChildren(...lines);
   if (!waits) return;
   const uncounted = state.zero_mv === null ? " Until then no mass is counted." : "";
   document.getElementById("faults").append(make("p", `The zero waits for ${waits}.${uncounted}`, "fault"));
