@@ -4,6 +4,7 @@ that cannot be measured again."""
 from __future__ import annotations
 
 import random
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -48,6 +49,32 @@ def test_a_flipped_bit_is_no_other_figure(measured: Path, tmp_path: Path, table:
         with pytest.raises(InputError, match=f"{table}.parquet: is not what its mark says; expected what `fleet run` wrote"):
             summarise(str(data))
         path.write_bytes(whole)
+
+
+def garbled(path: Path) -> None:
+    """As long as before, and no table any more."""
+    path.write_bytes(path.read_bytes()[:-8] + b"no table")
+
+
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("day", "harm"),
+    [*((day, harm) for day in ("2026-10-01", "2026-10-02") for harm in (cut, emptied, Path.unlink)), ("2026-10-01", garbled)],
+)
+def test_records_that_are_no_table_are_named_with_what_mends_them(
+    measured: Path, tmp_path: Path, day: str, harm: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """DuckDB's words name a pattern or magic bytes, and nothing to do. Records as long as before are read only where logs
+    overlap, of the first day at the beginning."""
+    data = shutil.copytree(measured, tmp_path / "data")
+    harm(data / "machine=m0" / f"day={day}" / "records.parquet")
+    assert main(["fleet", "report", str(data)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert re.search(rf"m0/day={day}/records.parquet: is (missing|not what its mark says); .* measures the day again", said[0])
 
 
 def test_a_flipped_bit_is_no_difference_of_two_releases(measured: Path, tmp_path: Path) -> None:

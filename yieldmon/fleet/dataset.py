@@ -95,6 +95,10 @@ class Dataset:
         """Raises InputError where a table is not what the partition's mark says: some damage of a table still reads as one."""
         marks.check(self._files, commit, table)
 
+    def check_sizes(self, commit: Commit) -> None:
+        """Raises InputError where a file of a partition is not there, or has another size than its mark says."""
+        marks.check_sizes(self._files, commit, self._files.sizes(commit.name))
+
     def names(self) -> list[str]:
         """The partitions' names, of which `commit_of` says whether they are whole."""
         return self._files.partitions()

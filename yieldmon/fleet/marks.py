@@ -114,5 +114,6 @@ def _checked(where: str, content: bytes, fields: Mapping[str, type]) -> dict[str
 
 
 def _damaged(where: str, problem: str = "is damaged") -> InputError:
-    expected = "what `fleet run` wrote; it measures the day again while its logs are in the source, else remove the day's folder"
+    measures = "it measures the day again while its logs are in the source, else remove the day's folder"
+    expected = f"what `fleet run` wrote; run it again: {measures}"
     return InputError(where, problem, expected)
