@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import random
+import re
 import signal
 from collections import Counter
 from multiprocessing.context import ForkProcess
@@ -20,7 +21,7 @@ from tests.extras import MF4
 from tests.plant_sweeps import window
 from tests.service.bench import CODEC, START_S, ZERO_MV, running, traffic
 from yieldmon import frames
-from yieldmon.bus.bulk import block_of, concatenate
+from yieldmon.bus.bulk import FrameBlock, block_of, concatenate
 from yieldmon.bus.codec import Codec
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
 from yieldmon.bus.log_files.logs import read_log
@@ -33,6 +34,7 @@ from yieldmon.service.assembly import build_monitor
 from yieldmon.service.config import configuration
 from yieldmon.service.logs.bulk_processing import EndOfLog, process_in_bulk
 from yieldmon.service.logs.processing import Summary, hand_over, process_logs
+from yieldmon.service.logs.recorded_before import RecordedBefore
 from yieldmon.service.logs.tables import COLUMNS
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.storage.store import Store
@@ -270,6 +272,43 @@ def test_a_second_logger_that_stamps_unsteadily_adds_nothing(process, dated, log
     assert (len(rows), rows[-1].total_kg) == (len(whole), pytest.approx(whole[-1].total_kg, rel=1e-9))
     (said,) = summary.damages
     assert f"it holds the frames of {parts[0]} again (+21000 ms); left out" in said
+
+
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+@pytest.mark.parametrize(("apart_s", "clock"), [(3600.7, "3601 s later"), (-7200.2, "7200 s earlier")])
+def test_a_second_logger_whose_clock_is_far_off_is_named(process, apart_s, clock, tmp_path):
+    """It records from the middle on and its clock runs 50 ppm fast; which clock is right is not known, so nothing is left out."""
+    early, late = messages(60.0), messages(60.0)
+    begun_s = late[0].timestamp
+    for message in late:
+        message.timestamp = round(message.timestamp + apart_s + 50e-6 * (message.timestamp - begun_s), 6)
+    parts = [write(tmp_path / "1.log", early[:12000]), write(tmp_path / "2.log", late[4000:])]
+    rows, summary = rows_of(process, parts)
+    each = [rows_of(process, [part])[0] for part in parts]
+    assert len(rows) == pytest.approx(sum(map(len, each)), abs=2)
+    (said,) = summary.damages
+    assert re.fullmatch(
+        rf"{parts[1]}: from \S+Z to \S+Z it holds the frames of {parts[0]} again, by its clock {clock}; one clock is wrong, and "
+        "both are measured: leave one out, or correct its times",
+        said,
+    )
+
+
+@pytest.mark.parametrize(("noise", "said"), [(0, 0), (64, 1)])
+def test_a_counter_beside_samples_that_stand_still_is_no_second_recording(noise, said):
+    """A sensor that is off sends the same with each count of 16 bits."""
+    count = np.arange(30_000, dtype=np.uint64)
+    samples = np.random.default_rng(5).integers(0, noise + 1, (3, count.size)).astype(np.uint64)
+    payload = count | samples[0] << np.uint64(16) | samples[1] << np.uint64(32) | samples[2] << np.uint64(48)
+    recorded, lines = RecordedBefore(), []
+    for place in (0, 1):
+        times_s = START_S + 36_000.0 * place + 0.01 * count
+        can_id, length, channel = (np.full(count.size, *of) for of in ((0x123, np.uint32), (8, np.uint8), (0, np.int32)))
+        block = FrameBlock(times_s, can_id, length, payload, channel, ("can0",))
+        recorded.begin(f"{place}.log")
+        recorded.take(block, np.arange(count.size))
+        lines += recorded.at_other_times()
+    assert len(lines) == said
 
 
 @pytest.mark.parametrize("reads_ahead", [False, True])

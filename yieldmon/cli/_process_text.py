@@ -5,6 +5,7 @@ from __future__ import annotations
 from yieldmon.documents.process import ProcessSummary
 from yieldmon.engine.faults import FaultCode
 from yieldmon.service.logs.record_check import SEPARATE_FILES, record_lines
+from yieldmon.service.logs.recorded_before import COUNTED_TWICE, LEFT_OUT
 from yieldmon.service.logs.time_units import spacing_line
 from yieldmon.units import Units, counted
 
@@ -26,7 +27,8 @@ def summary_line(document: ProcessSummary, units: Units) -> str:
     line += f", {counted(document['frames_malformed'], 'malformed frame')}" if document["frames_malformed"] else ""
     incomplete = document["messages_incomplete"]
     line += f", {counted(incomplete, 'incomplete message')}" if incomplete else ""
-    lines = [line, *(f"damaged: {damage}" for damage in document["damages"])]
+    twice = (LEFT_OUT, COUNTED_TWICE)
+    lines = [line, *(f"{'twice' if text.endswith(twice) else 'damaged'}: {text}" for text in document["damages"])]
     if document["faults"]:
         lines.append("faults: " + ", ".join(f"{code} {count} x" for code, count in document["faults"].items()))
     lines += record_lines(document)

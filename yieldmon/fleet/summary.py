@@ -197,10 +197,10 @@ def _damages(row: Mapping[str, Any], address: str) -> list[str]:
 
 def _of_one_day(row: Mapping[str, Any], damages: Sequence[str]) -> Iterator[str]:
     """What is wrong with a day by itself."""
-    from yieldmon.service.logs.recorded_before import LEFT_OUT
+    from yieldmon.service.logs.recorded_before import COUNTED_TWICE, LEFT_OUT
 
-    yield from (text for text in damages if text.endswith(LEFT_OUT))
-    if damaged := [text for text in damages if not text.endswith(LEFT_OUT)]:
+    yield from (text for text in damages if text.endswith((LEFT_OUT, COUNTED_TWICE)))
+    if damaged := [text for text in damages if not text.endswith((LEFT_OUT, COUNTED_TWICE))]:
         more = f" (and {len(damaged) - 1} more)" if len(damaged) > 1 else ""
         yield f"damaged: {damaged[0]}{more}"
     of_logs = zip(row["names"] or (), row["starts_s"] or (), strict=True)

@@ -162,7 +162,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
         twice = [f"{path}: {doubled.said}"] if doubled.said else []
         yield EndOfLog(
             path,
-            [*notes.lacks(path), *twice, *shared, *([again] if again else [])],
+            [*notes.lacks(path), *twice, *shared, *([again] if again else []), *recorded.at_other_times()],
             channels,
             bool(again),
             doubled.said,

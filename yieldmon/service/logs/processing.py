@@ -151,7 +151,8 @@ def process_logs(
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
         twice = [f"{path}: {doubled.said}"] if doubled.said else []
-        summary.damages += [*notes.lacks(path), *twice, *shared, *([again] if again else [])]
+        lines = [*twice, *shared, *([again] if again else []), *recorded.at_other_times()]
+        summary.damages += [*notes.lacks(path), *lines]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary

@@ -1,6 +1,7 @@
 """Frames of a log that one before it holds: two loggers recorded one bus under one channel name, and its grain counts once.
 
-The samples of an impact sensor hold noise: the same bytes come again at the same times only in a recording of the same bus.
+The samples of an impact sensor hold noise: the same bytes come again at the same times only in a recording of the same bus. Where
+they come at other times, one of the two clocks is wrong: which one cannot be told, so both are measured, and named.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from yieldmon.errors import InputError
 
 LEFT_OUT = "left out, as the grain counts once"
 """End of the line that says so."""
+COUNTED_TWICE = "both are measured: leave one out, or correct its times"
+"""End of the line about frames at other times."""
 _MULTIPLIER, _ALL_BUT_BITS = np.uint64(0x9E3779B97F4A7C15), np.uint64(58)
 """Of a payload, so that one in 64 of them is compared, whatever its counter."""
 _LEAST_ALIKE = 8
@@ -32,6 +35,14 @@ _CLOCKS_S, _JITTER_S = 60.0, 0.05
 """How far the clocks of two loggers may be apart, and how unsteadily they may stamp a frame."""
 _LOOK_BYTES, _LOOKS, _ENOUGH = 1 << 19, 40, 64
 """What is read of a log's beginning at a time, how often at most, and frames compared after which it is another record."""
+
+_ONE_IN, _KEPT_BIT = 4, 32
+"""Of the frames compared, so many are kept for the search at any distance in time."""
+_DRIFT = 5e-4
+"""Of two clocks against each other."""
+_LEAST_MIXED, _LEAST_VALUES = 3, 4
+"""Bytes of the frames in which there are so many values: a counter beside samples that do not change has fewer, and comes again
+without being the same."""
 
 LEAST_SHARED_S = 3
 """Seconds with frames of two logs: one that follows another shares the second in which that ended."""
@@ -71,6 +82,8 @@ class RecordedBefore:
         self._channels = channels
         self._logs: list[_Log] = []
         self._identifiers: set[int] = set()
+        self._known: dict[tuple[int, int], tuple[str, float]] = {}
+        """Log and time of frames of all logs before, by identifier and payload."""
 
     def begin(self, path: str) -> tuple[float, str]:
         """The next log: until when its frames are those of one before, -inf where none is, and a line that says so."""
@@ -105,6 +118,20 @@ class RecordedBefore:
         log = self._logs[-1]
         shared = ((other.path, len(log.seconds & other.seconds)) for other in self._logs[:-1])
         return tuple(SameTimes(path, seconds) for path, seconds in shared if seconds >= LEAST_SHARED_S)
+
+    def at_other_times(self) -> list[str]:
+        """Once the last log is read: a line for each log before that has its frames of the sensor at times further off than two
+        loggers' clocks are."""
+        log = self._logs[-1]
+        kept = {(identifier, payload): time_s for (_, identifier, payload), time_s in log.times_s.items() if _is_kept(payload)}
+        found: dict[str, list[tuple[int, float, float]]] = {}
+        for key, time_s in kept.items():
+            before = self._known.get(key) if time_s is not None else None
+            if time_s is not None and before is not None:
+                found.setdefault(before[0], []).append((key[1], time_s, before[1]))
+        self._known |= {key: (log.path, time_s) for key, time_s in kept.items() if time_s is not None}
+        lines = (_at_other_times(log.path, other, alike) for other, alike in found.items())
+        return [line for line in lines if line]
 
     def take_message(self, message: can.Message) -> None:
         """One of the sensor's frames, as take()."""
@@ -159,3 +186,29 @@ def _apart_s(log: _Log, other: _Log) -> tuple[float, float] | None:
         return None
     # Few frames are compared; one that is not may be stamped later than all of them.
     return middle, 2.0 * (float(alike.max()) - middle)
+
+
+def _is_kept(payload: int) -> bool:
+    return (payload * int(_MULTIPLIER) >> _KEPT_BIT) % _ONE_IN == 0
+
+
+def _at_other_times(path: str, other: str, alike: list[tuple[int, float, float]]) -> str:
+    """The line about frames that two logs hold; alike: payload, and time in each. "" where they are not one recording, or no
+    further apart than two loggers' clocks."""
+    if len(alike) < _LEAST_ALIKE:
+        return ""
+    payloads = np.array([payload for payload, _, _ in alike], np.uint64)
+    times_s, before_s = (np.array(column) for column in zip(*((a, b) for _, a, b in alike), strict=True))
+    apart_s = times_s - before_s
+    middle_s = float(np.median(apart_s))
+    steady = np.abs(apart_s - middle_s) <= _JITTER_S + _DRIFT * np.abs(times_s - np.median(times_s))
+    if abs(middle_s) <= _CLOCKS_S or steady.sum() < max(_LEAST_ALIKE, 0.9 * steady.size):
+        return ""
+    values = payloads[steady].view(np.uint8).reshape(-1, 8)
+    if sum(len(np.unique(column)) >= _LEAST_VALUES for column in values.T) < _LEAST_MIXED:
+        return ""
+    first, last = (utc.text(utc.moment(float(end(times_s[steady])))) for end in (np.min, np.max))
+    clock = f"by its clock {abs(middle_s):.0f} s {'later' if middle_s > 0 else 'earlier'}"
+    return (
+        f"{path}: from {first} to {last} it holds the frames of {other} again, {clock}; one clock is wrong, and {COUNTED_TWICE}"
+    )
