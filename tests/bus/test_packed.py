@@ -19,11 +19,11 @@ from tests.fleet import logs
 from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import FrameBlock, block_of
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.loading import iter_blocks, logs_in
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.logs import read_log
 from yieldmon.bus.packed.columns import DIFFERENCE, PLAIN, PREDICTION, decode, encode, place_fields
-from yieldmon.bus.packed.writing import pack
+from yieldmon.bus.packed.writing import pack, pack_logs
 from yieldmon.cli.main import main
 from yieldmon.errors import InputError
 
@@ -177,16 +177,19 @@ def test_what_the_recorder_lost_is_reported_of_the_packed_log_too(tmp_path: Path
         assert by_frame.dropped_by_recorder == by_block.dropped_by_recorder == 40
 
 
-@pytest.mark.parametrize(("pause_s", "said"), [(59.0, False), (61.0, True)])
-def test_a_pause_between_packed_logs_that_a_clock_may_have_made_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], pause_s: float, said: bool
-) -> None:
-    frame = "({:.6f}) can0 0CFF1180#800CFFFFFFFFFFFF\n"
-    (tmp_path / "a.log").write_text(frame.format(1.79e9) + frame.format(1.79e9 + 10.0))
-    (tmp_path / "b.log").write_text(frame.format(1.79e9 + 10.0 + pause_s))
-    assert main(["pack", str(tmp_path / "b.log"), str(tmp_path / "a.log"), "--out", str(tmp_path / "ab.parquet")]) == 0
-    note = f"yieldmon: {tmp_path / 'b.log'} begins 61 s after the log before it ends: in one file that is a clock"
-    assert (note in capsys.readouterr().err) == said
+@pytest.mark.parametrize("begins", ["0", "2", "1,1", "x", "-1"])
+def test_a_file_whose_logs_begin_nowhere_is_damaged(tmp_path: Path, begins: str) -> None:
+    """Of two blocks, the second one of which may begin a log."""
+    whole, odd = tmp_path / "whole.parquet", tmp_path / "odd.parquet"
+    block = block_of([can.Message(timestamp=1.0, arbitration_id=1)])
+    pack_logs([[block], [block]], whole, LAYOUTS)
+    assert logs_in(whole) == 2
+    with parquet.ParquetFile(whole) as source, parquet.ParquetWriter(odd, source.schema_arrow) as writer:
+        for group in range(source.num_row_groups):
+            writer.write_table(source.read_row_group(group))
+        writer.add_key_value_metadata({"yieldmon.logs_begin": begins})
+    with pytest.raises(InputError, match=r"odd\.parquet: damaged: logs that begin with the blocks"):
+        logs_in(odd)
 
 
 def test_damaged_places_beyond_those_named_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

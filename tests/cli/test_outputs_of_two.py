@@ -17,7 +17,7 @@ STORE = Path(__file__).parents[1] / "golden" / "store-0.1.0.sqlite"
 
 @pytest.mark.parametrize(
     ("command", "module", "reads"),
-    [(f"export {STORE} --out o.csv", recorded, "read_seconds"), ("pack a.log --out o.parquet", pack, "pack")],
+    [(f"export {STORE} --out o.csv", recorded, "read_seconds"), ("pack a.log --out o.parquet", pack, "pack_logs")],
     ids=["export", "pack"],
 )
 def test_two_commands_with_one_output_lose_nothing(command, module, reads, tmp_path, monkeypatch, capsys):

@@ -294,6 +294,29 @@ def test_a_second_logger_whose_clock_is_far_off_is_named(process, apart_s, clock
     )
 
 
+@pytest.mark.parametrize("process", [process_logs, process_in_bulk])
+@pytest.mark.parametrize(
+    "cut", [(3000, 3000, 0.0), (3000, 3000, 7200.0), (4000, 3500, 0.003)], ids=["at once", "paused", "again"]
+)
+def test_packed_logs_are_measured_as_the_logs(process, cut, tmp_path):
+    """Logs that follow each other at once or after hours, or overlap as two loggers' do, packed twice over: the same rows."""
+    end, begin, later_s = cut
+    early, late = messages(), messages()
+    for message in late:
+        message.timestamp = round(message.timestamp + later_s, 6)
+    parts = [str(write(tmp_path / "1.log", early[:end])), str(write(tmp_path / "2.log", late[begin:]))]
+    packed, again = (str(tmp_path / f"{name}.parquet") for name in ("packed", "again"))
+    assert cli.main(["pack", *parts, "--out", packed]) == 0
+    assert cli.main(["pack", packed, "--out", again]) == 0
+    rows, summary = rows_of(process, parts)
+    for file in (packed, again):
+        found, known = rows_of(process, [file])
+        assert found == rows
+        assert known.frames == summary.frames
+        said = [text.replace(f"{file}, log 2", parts[1]).replace(file, parts[0]) for text in known.damages]
+        assert said == summary.damages
+
+
 @pytest.mark.parametrize(("noise", "said"), [(0, 0), (64, 1)])
 def test_a_counter_beside_samples_that_stand_still_is_no_second_recording(noise, said):
     """A sensor that is off sends the same with each count of 16 bits."""

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from yieldmon.bus.bulk import FrameBlock
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.loading import iter_blocks, logs_in
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.log_order import in_time_order
 from yieldmon.bus.log_files.logs import PACKED_SUFFIX, require_log
-from yieldmon.bus.packed.writing import pack
-from yieldmon.cli import _channels, _notes, _outputs
+from yieldmon.bus.packed.writing import pack_logs
+from yieldmon.cli import _channels, _outputs
 from yieldmon.cli._json import print_json
 from yieldmon.documents.pack import PackDocument
-from yieldmon.engine.settings import ClockSettings
 from yieldmon.errors import InputError
 from yieldmon.files.whole_file import scratch_for
 from yieldmon.identifiers import CLASSIC_BYTES
 from yieldmon.service.logs.log_copies import refuse_copies, refuse_named_twice
 from yieldmon.units import counted
-
-_PAUSE = (
-    "in one file that is a clock that was set forward (ClockJumped); packed each by itself, logs give `process` the same rows"
-)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,7 +32,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description=__doc__,
         epilog="example: yieldmon pack monday-*.log.gz --out monday-frames.parquet",
     )
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="any supported log; several logs form one record")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="any supported log; several logs form one record; where each begins is kept",
+    )
     parser.add_argument("--out", required=True, metavar="FILE.parquet", help="file to write")
     _channels.add_channels(parser)
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON document")
@@ -56,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
     refuse_copies(args.logs)
     notes = LogNotes()
     with scratch_for(out) as scratch:
-        blocks = _blocks(in_time_order(args.logs), notes, args.channels)
-        packed = pack(blocks, scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
+        logs = _logs(in_time_order(args.logs), notes, args.channels)
+        packed = pack_logs(logs, scratch, Codec().layouts, lambda: notes.dropped_by_recorder)
         if not packed.frames:
             found = f"no frame of channel {' or '.join(args.channels)}" if args.channels and notes.frames else "no frame at all"
             raise InputError(", ".join(args.logs), found, "a log with CAN frames")
@@ -80,15 +79,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _blocks(logs: list[str], notes: LogNotes, channels: list[str]) -> Iterator[FrameBlock]:
-    end_s = math.inf
-    for log in logs:
-        begins = True
-        for block in iter_blocks(log, notes):
-            if (block.length > CLASSIC_BYTES).any():
-                raise InputError(log, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
-            if len(block):
-                if begins and (pause_s := float(block.time_s[0]) - end_s) > ClockSettings().max_gap_s:
-                    _notes.note(f"{log} begins {pause_s:.0f} s after the log before it ends: {_PAUSE}")
-                begins, end_s = False, float(block.time_s[-1])
-            yield block.of_channels(channels) if channels else block
+def _logs(paths: list[str], notes: LogNotes, channels: list[str]) -> Iterator[Iterator[FrameBlock]]:
+    for path in paths:
+        for part in range(logs_in(path)):
+            yield _blocks(path, notes, channels, part)
+
+
+def _blocks(path: str, notes: LogNotes, channels: list[str], part: int) -> Iterator[FrameBlock]:
+    for block in iter_blocks(path, notes, part=part):
+        if (block.length > CLASSIC_BYTES).any():
+            raise InputError(path, "holds CAN FD frames with more than 8 bytes of data", "classic CAN frames")
+        yield block.of_channels(channels) if channels else block

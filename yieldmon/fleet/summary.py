@@ -164,6 +164,8 @@ def _doubtful(
 ) -> tuple[list[DayProblem], list[Log]]:
     """Days whose mass may be too small, for damage or want of a zero, or that hold a log or time that is there twice; and the
     logs that are there twice as a whole."""
+    from yieldmon.service.logs.recorded_before import COUNTED_TWICE
+
     found: list[DayProblem] = []
     repeated: list[Log] = []
     pairs = {((e.machine, e.day, e.log), (e.machine, e.other_day, e.other_log)) for e in overlapping}
@@ -172,6 +174,9 @@ def _doubtful(
         damages, logs = _damages(row, address), logs_of(row["logs"], row["machine"], row["day"], address)
         of_day = list(repeats.of_day(row["machine"], row["day"], logs))
         repeated += [log for log, _ in of_day]
+        # What these say is that the sums leave the log out.
+        whole = tuple(f"{name}: " for (_, _, name), _ in of_day)
+        damages = [text for text in damages if not (text.endswith(COUNTED_TWICE) and text.startswith(whole))]
         problems = [*_of_one_day(row, damages), *(problem for _, problem in of_day)]
         found += [_problem(row, problem) for problem in problems]
     for each in overlapping:

@@ -27,7 +27,7 @@ from yieldmon.bus.log_files.text_logs import (
     read_stream,
     without_byte_order_mark,
 )
-from yieldmon.bus.packed.reading import Wanted, dropped_by_recorder, read_blocks
+from yieldmon.bus.packed.reading import Wanted, dropped_by_recorder, packed_logs, read_blocks
 
 _CHUNK_BYTES = 4 * 1024 * 1024
 _MESSAGES_PER_BLOCK = 100_000
@@ -40,6 +40,7 @@ def iter_blocks(
     chunk_bytes: int = _CHUNK_BYTES,
     compiled: bool | None = None,
     wanted: Wanted | None = None,
+    part: int | None = None,
 ) -> Iterator[FrameBlock]:
     """The log in blocks of some 100,000 frames: the frames that logs.read_log() gives, in the same order.
 
@@ -57,6 +58,8 @@ def iter_blocks(
         As for fast_candump.parse_lines().
     wanted : callable, optional
         Of identifiers with flags, shape (n,): frames of others may be left out of the blocks; they are counted all the same.
+    part : int, optional
+        Number from 0 of the one log that is read, of those in a file of packed logs (`logs_in`); by default all.
 
     Yields
     ------
@@ -72,14 +75,23 @@ def iter_blocks(
             notes.count(frames)
             notes.error_frames += frames if can_id & ERROR_FLAG else 0
 
-        yield from read_blocks(path, wanted, count)
-        notes.dropped_by_recorder += dropped_by_recorder(path)
+        yield from read_blocks(path, wanted, count, part)
+        # The file has the sum of all logs.
+        notes.dropped_by_recorder += dropped_by_recorder(path) if not part else 0
         return
     if suffix in CANDUMP_SUFFIXES:
         for block in _candump_blocks(path, notes, chunk_bytes, compiled):
             yield block if wanted is None else block.take(np.flatnonzero(wanted(block.can_id)))
         return
     yield from _blocks_of(read_log(path, notes))
+
+
+def logs_in(path: Path | str) -> int:
+    """How many logs a file holds: 1, but for packed logs. Raises InputError where that cannot be read."""
+    if log_format(Path(path))[0] != PACKED_SUFFIX:
+        return 1
+    require_log(path)
+    return packed_logs(path)
 
 
 def _blocks_of(messages: Iterator[can.Message]) -> Iterator[FrameBlock]:

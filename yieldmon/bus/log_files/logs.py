@@ -79,12 +79,20 @@ def read_log(path: Path | str, notes: LogNotes | None = None) -> Iterator[can.Me
     '0x18ff0117'
     """
     require_path(path)
+    yield from read_part(path, notes if notes is not None else LogNotes())
+
+
+def read_part(path: Path | str, notes: LogNotes, part: int | None = None) -> Iterator[can.Message]:
+    """As `read_log`. part: number from 0 of the one log that is read, of those in a file of packed logs; None: all."""
     path = Path(path)
-    notes = notes if notes is not None else LogNotes()
     suffix, compressed = log_format(path)
-    read = read_text if suffix in TEXT_SUFFIXES else _read_packed if suffix == PACKED_SUFFIX else read_binary
     with reading_log(path):
-        for message in read(path, suffix, compressed, notes):
+        if suffix == PACKED_SUFFIX:
+            messages = _read_packed(path, notes, part)
+        else:
+            read = read_text if suffix in TEXT_SUFFIXES else read_binary
+            messages = read(path, suffix, compressed, notes)
+        for message in messages:
             notes.frame(message)
             yield message
     refuse_unreadable(notes)
@@ -134,10 +142,11 @@ def mend_of(name: str) -> str:
     return _MENDS.get(suffix, _ROTATED if suffix[1:].isdigit() else "").format(name)
 
 
-def _read_packed(path: Path, suffix: str, compressed: bool, notes: LogNotes) -> Iterator[can.Message]:
+def _read_packed(path: Path, notes: LogNotes, part: int | None) -> Iterator[can.Message]:
     from yieldmon.bus.bulk import messages_of
     from yieldmon.bus.packed.reading import dropped_by_recorder, read_blocks
 
-    for block in read_blocks(path):
+    for block in read_blocks(path, part=part):
         yield from messages_of(block)
-    notes.dropped_by_recorder += dropped_by_recorder(path)
+    # The file has the sum of all logs.
+    notes.dropped_by_recorder += dropped_by_recorder(path) if not part else 0

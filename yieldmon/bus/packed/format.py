@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 FORMAT = b"yieldmon.frames"
 DROPPED = b"yieldmon.dropped_by_recorder"
 """How many frames the recorders of the logs say that they lost; absent for none."""
+BEGINS = b"yieldmon.logs_begin"
+"""Numbers of the blocks with which the second and further logs of the record begin, as "3,7"; absent where there is one log."""
 VERSION = b"2"
 ALL_COMPRESSED = b"1"
 """The format before, in which no column was kept as it is."""

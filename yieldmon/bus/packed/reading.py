@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from yieldmon.bus.bulk import FrameBlock
 from yieldmon.bus.packed.columns import CONSTANT, Coded, Column, decode, place_fields
 from yieldmon.bus.packed.format import (
     ALL_COMPRESSED,
+    BEGINS,
     DATA_BITS,
     DROPPED,
     FLOAT,
@@ -32,6 +34,7 @@ from yieldmon.identifiers import CLASSIC_BYTES
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    from pyarrow import parquet
 
 _WORTH_COMPILING = 16
 """Blocks of a file from which on loading compiled code pays: that takes about a second."""
@@ -45,7 +48,10 @@ Wanted = Callable[[NDArray[np.uint32]], NDArray[np.bool_]]
 
 
 def read_blocks(
-    path: Path | str, wanted: Wanted | None = None, counted: Callable[[int, int], None] | None = None
+    path: Path | str,
+    wanted: Wanted | None = None,
+    counted: Callable[[int, int], None] | None = None,
+    part: int | None = None,
 ) -> Iterator[FrameBlock]:
     """The frames of a packed file, a block at a time.
 
@@ -56,6 +62,8 @@ def read_blocks(
         Of identifiers with flags, shape (n,): which of them are read; by default all.
     counted : callable, optional
         Called with each identifier of a block, with flags, and the number of its frames, read or not.
+    part : int, optional
+        Number from 0 of the one log that is read, of those that were packed together (`packed_logs`); by default all.
 
     Yields
     ------
@@ -77,7 +85,8 @@ def read_blocks(
             version = metadata.get(FORMAT)
             if version not in (VERSION, ALL_COMPRESSED):
                 raise InputError(str(path), "a Parquet file without packed CAN frames", _EXPECTED)
-            for group in range(source.num_row_groups):
+            begins = (*_begins(source), source.num_row_groups)
+            for group in range(begins[0], begins[-1]) if part is None else range(*begins[part : part + 2]):
                 table = source.read_row_group(group, use_threads=False).select(NAMES).cast(schema())
                 if any(column.null_count for column in table.columns):
                     raise ValueError("a row that lacks something")
@@ -100,6 +109,32 @@ def read_blocks(
 
 def _flaw(error: Exception) -> str:
     return reason(error) if of_the_computer(error) is not None else f"damaged: {brief(error)}"
+
+
+def packed_logs(path: Path | str) -> int:
+    """How many logs were packed into a file. Raises InputError for a file of which that cannot be read."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(path) as source:
+            return len(_begins(source))
+    except FileNotFoundError as error:
+        raise InputError(str(path), reason(error), "a readable file of packed frames") from error
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(str(path), _flaw(error), _EXPECTED) from error
+
+
+def _begins(source: parquet.ParquetFile) -> tuple[int, ...]:
+    """Numbers of the blocks with which the logs begin. Raises ValueError where they are no such."""
+    text = (source.metadata.metadata or {}).get(BEGINS, b"")
+    numbers = [part for part in text.split(b",") if part]
+    if not all(part.isdigit() and len(part) <= _MOST_DIGITS for part in numbers):
+        raise ValueError(f"logs that begin with the blocks {text[:20]!r}")
+    begins = (0, *map(int, numbers))
+    if any(after <= before for before, after in pairwise((*begins, max(source.num_row_groups, 1)))):
+        raise ValueError(f"logs that begin with the blocks {text[:20]!r} of {source.num_row_groups}")
+    return begins
 
 
 def dropped_by_recorder(path: Path | str) -> int:

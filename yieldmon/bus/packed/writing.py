@@ -15,7 +15,7 @@ from yieldmon.bus.bulk import FrameBlock, concatenate
 from yieldmon.bus.layout import MessageLayout
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.packed.columns import Column, encode
-from yieldmon.bus.packed.format import DATA_BITS, DROPPED, FLOAT, FORMAT, NAMES, PER_S, PLACE, TIME, VERSION, schema
+from yieldmon.bus.packed.format import BEGINS, DATA_BITS, DROPPED, FLOAT, FORMAT, NAMES, PER_S, PLACE, TIME, VERSION, schema
 from yieldmon.errors import InputError
 from yieldmon.identifiers import CLASSIC_BYTES, EXTENDED_FLAG
 
@@ -47,12 +47,22 @@ class Packed:
 def pack(
     blocks: Iterable[FrameBlock], path: Path, layouts: Mapping[str, MessageLayout], dropped: Callable[[], int] | None = None
 ) -> Packed:
-    """Pack frames into one file.
+    """As `pack_logs`, of one log."""
+    return pack_logs([blocks], path, layouts, dropped)
+
+
+def pack_logs(
+    logs: Iterable[Iterable[FrameBlock]],
+    path: Path,
+    layouts: Mapping[str, MessageLayout],
+    dropped: Callable[[], int] | None = None,
+) -> Packed:
+    """Pack logs into one file.
 
     Parameters
     ----------
-    blocks : iterable of FrameBlock
-        Frames in the order of the log, of whatever lengths.
+    logs : iterable of iterable of FrameBlock
+        Of each log the frames in their order, in blocks of whatever lengths. Where a log begins is kept.
     path : Path
         File to write.
     layouts : mapping of str to MessageLayout
@@ -71,9 +81,11 @@ def pack(
     """
     frames = 0
     with Writer(path, layouts) as writer:
-        for block in _in_pieces(blocks):
-            writer.write(block)
-            frames += len(block)
+        for blocks in logs:
+            writer.begin_log()
+            for block in _in_pieces(blocks):
+                writer.write(block)
+                frames += len(block)
         if dropped is not None:
             writer.dropped_by_recorder = dropped()
     return Packed(frames, path.stat().st_size)
@@ -117,6 +129,7 @@ class Writer:
 
         self._layouts = tuple(layouts.values())
         self._blocks = 0
+        self._begins: list[int] = []
         self.dropped_by_recorder = 0
         self._schema = schema().with_metadata({FORMAT: VERSION})
         self._writer = parquet.ParquetWriter(
@@ -128,6 +141,11 @@ class Writer:
             write_statistics=False,
             write_page_checksum=True,
         )
+
+    def begin_log(self) -> None:
+        """The next block is the first of another log."""
+        if self._blocks and self._begins[-1:] != [self._blocks]:
+            self._begins.append(self._blocks)
 
     def write(self, block: FrameBlock) -> None:
         """Pack a block. Raises InputError for data of more than 8 bytes, which a block does not hold."""
@@ -146,6 +164,8 @@ class Writer:
         """Complete the file."""
         if self.dropped_by_recorder:
             self._writer.add_key_value_metadata({DROPPED.decode(): str(self.dropped_by_recorder)})
+        if begins := [block for block in self._begins if block < self._blocks]:
+            self._writer.add_key_value_metadata({BEGINS.decode(): ",".join(map(str, begins))})
         self._writer.close()
 
     def __enter__(self) -> Writer:

@@ -25,7 +25,7 @@ from yieldmon.bus.codec import Codec
 from yieldmon.bus.interrupts import interrupts_held
 from yieldmon.bus.log_files.candump import ERROR_FLAG, REMOTE_FLAG
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
-from yieldmon.bus.log_files.loading import iter_blocks
+from yieldmon.bus.log_files.loading import iter_blocks, logs_in
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.packed.reading import Wanted
 from yieldmon.engine.monitor import Monitor
@@ -56,13 +56,14 @@ _COLLECTED_TOGETHER = 50_000
 class Stretch:
     """Some frames of a log, ready for the engine. frames: all of the log in this stretch, ours: those among them that
     the engine takes, malformed: those of ours with a wrong length, incomplete: messages given up that lack a frame. runs: for
-    Monitor.feed_run()."""
+    Monitor.feed_run(). ends_log: another log of a file of packed logs follows."""
 
     frames: int
     ours: int
     malformed: int
     runs: list[FrameRun] = field(default_factory=list)
     incomplete: int = 0
+    ends_log: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,8 @@ def process_in_bulk(
                         unit.take(", ".join(names), run.times_s[run.samples[0].places].tolist())
                     summary.samples += sum(part.places.size for part in run.samples)
                     hand_over(monitor.feed_run(run, reports=False), take_row, summary, take_results)
+                if stretch.ends_log:
+                    monitor.begin_log()
             if progress is not None:
                 progress(stretch)
     refuse_nothing(names, summary, channels)
@@ -143,31 +146,33 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     one_channel = None if taking.channels else OneChannel(taking.signals.sources)
     recorded, sensors = RecordedBefore(taking.channels), {source.message for source in taking.signals.sources.impact}
     for path in paths:
-        notes, frames, channels, doubled = LogNotes(), 0, frozenset[str](), DoubledFrames()
-        again_until_s, again = recorded.begin(path)
-        for read in doubled.blocks(_joined(iter_blocks(path, notes, wanted=wanted))):
-            channels |= read.channels_in_use()
-            block = read.of_channels(taking.channels) if taking.channels else read
-            block = block.after(again_until_s)
-            before = decoder.incomplete
-            columns, refused = _decoded(taking, decoder, side, block)
-            for name in sensors & columns.keys():
-                recorded.take(block, columns[name].rows)
-            if one_channel is not None:
-                one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
-            found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
-            yield replace(found, incomplete=decoder.incomplete - before)
-            frames = notes.frames
+        notes, frames, channels = LogNotes(), 0, frozenset[str]()
+        twice, again_lines, repeats, same_times = "", list[str](), False, list[SameTimes]()
+        for part in range(logs_in(path)):
+            if part:
+                yield Stretch(0, 0, 0, ends_log=True)
+            doubled = DoubledFrames()
+            again = recorded.begin(path, part)
+            for read in doubled.blocks(_joined(iter_blocks(path, notes, wanted=wanted, part=part))):
+                channels |= read.channels_in_use()
+                block = read.of_channels(taking.channels) if taking.channels else read
+                block = block.after(recorded.again_until_s)
+                before = decoder.incomplete
+                columns, refused = _decoded(taking, decoder, side, block)
+                for name in sensors & columns.keys():
+                    recorded.take(block, columns[name].rows)
+                if one_channel is not None:
+                    one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
+                found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
+                yield replace(found, incomplete=decoder.incomplete - before)
+                frames = notes.frames
+            twice = twice or doubled.said
+            again_lines += [*([again] if again else []), *recorded.at_other_times()]
+            repeats = repeats or bool(again)
+            same_times += recorded.same_times()
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        twice = [f"{path}: {doubled.said}"] if doubled.said else []
-        yield EndOfLog(
-            path,
-            [*notes.lacks(path), *twice, *shared, *([again] if again else []), *recorded.at_other_times()],
-            channels,
-            bool(again),
-            doubled.said,
-            recorded.same_times(),
-        )
+        damages = [*notes.lacks(path), *([f"{path}: {twice}"] if twice else []), *shared, *again_lines]
+        yield EndOfLog(path, damages, channels, repeats, twice, tuple(same_times))
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import can
 
 from yieldmon.arguments import of_other_type, require_type
 from yieldmon.bus.codec import Codec, FrameError
 from yieldmon.bus.log_files.candump import channel_name
 from yieldmon.bus.log_files.doubled_frames import DoubledFrames
+from yieldmon.bus.log_files.loading import logs_in
 from yieldmon.bus.log_files.log_notes import LogNotes
-from yieldmon.bus.log_files.logs import read_log
+from yieldmon.bus.log_files.logs import read_part
 from yieldmon.engine.monitor import Monitor
 from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
@@ -125,13 +128,11 @@ def process_logs(
     one_channel = None if channels else OneChannel(mapping.sources)
     recorded = RecordedBefore(tuple(channels))
     for path in paths:
-        notes, doubled = LogNotes(), DoubledFrames()
-        again_until_s, again = recorded.begin(str(path))
-        monitor.begin_log()
-        for message in doubled.messages(read_log(path, notes)):
+        notes, twice, again = LogNotes(), list[str](), list[str]()
+        for message in _each_once(str(path), recorded, monitor, notes, twice, again):
             channel = channel_name(message)
             summary.channels.add(channel)
-            if (channels and channel not in channels) or message.timestamp <= again_until_s:
+            if (channels and channel not in channels) or message.timestamp <= recorded.again_until_s:
                 continue
             try:
                 frames = bus.frames(message)
@@ -150,12 +151,26 @@ def process_logs(
                 hand_over(monitor.feed(frame), take_row, summary)
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        twice = [f"{path}: {doubled.said}"] if doubled.said else []
-        lines = [*twice, *shared, *([again] if again else []), *recorded.at_other_times()]
-        summary.damages += [*notes.lacks(path), *lines]
+        summary.damages += [*notes.lacks(path), *twice[:1], *shared, *again]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary
+
+
+def _each_once(
+    path: str, recorded: RecordedBefore, monitor: Monitor, notes: LogNotes, twice: list[str], again: list[str]
+) -> Iterator[can.Message]:
+    """The frames of a file's logs without copies; the monitor and `recorded` are told of each log. Added to twice and again is
+    what is to be said of frames that stand in a log several times, and of those that one before it holds."""
+    for part in range(logs_in(path)):
+        doubled = DoubledFrames()
+        if line := recorded.begin(path, part):
+            again.append(line)
+        monitor.begin_log()
+        yield from doubled.messages(read_part(path, notes, part))
+        if doubled.said:
+            twice.append(f"{path}: {doubled.said}")
+        again += recorded.at_other_times()
 
 
 def refuse_nothing(paths: Sequence[Path | str], summary: Summary, channels: Sequence[str] = ()) -> None:

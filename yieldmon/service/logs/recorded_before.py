@@ -75,20 +75,29 @@ class _Log:
 
 
 class RecordedBefore:
-    """The impact sensor's frames of logs that are read one after the other."""
+    """The impact sensor's frames of logs that are read one after the other.
+
+    Attributes
+    ----------
+    again_until_s : float
+        Time until which the frames of the log under way are those of one before, -inf where none is.
+    """
 
     def __init__(self, channels: tuple[str, ...] = ()) -> None:
         """channels: whose frames are taken; empty: all."""
         self._channels = channels
         self._logs: list[_Log] = []
         self._identifiers: set[int] = set()
+        self.again_until_s = float("-inf")
         self._known: dict[tuple[int, int], tuple[str, float]] = {}
         """Log and time of frames of all logs before, by identifier and payload."""
 
-    def begin(self, path: str) -> tuple[float, str]:
-        """The next log: until when its frames are those of one before, -inf where none is, and a line that says so."""
+    def begin(self, path: str, part: int = 0) -> str:
+        """The next log: a line that says until when its frames are those of one before, "" where none is. part: its number from 0
+        in a file of packed logs."""
         until_s, line = float("-inf"), ""
-        beginning = self._beginning(path) if self._logs else _Log(path)
+        beginning = self._beginning(path, part) if self._logs else _Log(path)
+        path = f"{path}, log {part + 1}" if part else path
         for other in self._logs:
             found = _apart_s(beginning, other)
             if found is not None and other.last_s + sum(found) > until_s:
@@ -99,7 +108,8 @@ class RecordedBefore:
                 )
                 line = f"{path}: {held}; {LEFT_OUT}"
         self._logs.append(_Log(path))
-        return until_s, line
+        self.again_until_s = until_s
+        return line
 
     def take(self, block: FrameBlock, rows: NDArray[np.intp]) -> None:
         """Rows of the sensor's frames in a block of the log."""
@@ -137,10 +147,10 @@ class RecordedBefore:
         """One of the sensor's frames, as take()."""
         self.take(block_of([message]), np.zeros(1, np.intp))
 
-    def _beginning(self, path: str) -> _Log:
+    def _beginning(self, path: str, part: int) -> _Log:
         """Of frames that another log may hold: until enough of them can be compared, or past the end of all logs before."""
         found, last_s = _Log(path), max(log.last_s for log in self._logs)
-        for block in self._looks(path):
+        for block in self._looks(path, part):
             rows = np.flatnonzero(np.isin(block.can_id, list(self._identifiers)))
             found.take(*_compared(block, rows))
             beyond = rows.size and float(block.time_s[rows].min()) > last_s + _CLOCKS_S
@@ -148,12 +158,12 @@ class RecordedBefore:
                 break
         return found
 
-    def _looks(self, path: str) -> Iterator[FrameBlock]:
+    def _looks(self, path: str, part: int) -> Iterator[FrameBlock]:
         unsaid = LogNotes(on_damage=lambda damage: None)
         try:
             if is_pipe(Path(path)) or not any(log.times_s for log in self._logs):
                 return
-            for block in islice(iter_blocks(path, unsaid, chunk_bytes=_LOOK_BYTES), _LOOKS):
+            for block in islice(iter_blocks(path, unsaid, chunk_bytes=_LOOK_BYTES, part=part), _LOOKS):
                 yield block.of_channels(self._channels) if self._channels else block
         except (InputError, OSError):
             # What is wrong is said when it is measured.
