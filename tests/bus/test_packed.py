@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
+from tests.file_limit import files_end_at
 from tests.fleet import logs
 from tests.whole_logs import load_frames
 from yieldmon.bus.bulk import FrameBlock, block_of
@@ -198,6 +199,15 @@ def test_damaged_places_beyond_those_named_are_counted(tmp_path: Path, capsys: p
     assert main(["process", str(log), "--out", str(tmp_path / "day.csv"), "--json"]) == 0
     damages = json.loads(capsys.readouterr().out)["damages"]
     assert (len(damages), damages[-1]) == (21, f"{log}: 5 more damaged places")
+
+
+def test_a_full_disk_is_told_in_the_systems_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """pyarrow puts its own around them."""
+    log = logs.write(tmp_path / "day.log")
+    with files_end_at(2_000):
+        assert main(["pack", str(log), "--out", str(tmp_path / "day.parquet")]) == 1
+    assert capsys.readouterr().err.startswith(f"yieldmon: {tmp_path / 'day.parquet'}: File too large; expected a medium")
+    assert [*tmp_path.iterdir()] == [log]
 
 
 def test_a_log_with_longer_frames_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -74,3 +74,17 @@ def test_a_file_there_is_not_replaced_either(closed: Path, capsys: pytest.Captur
     assert main(["export", "day.sqlite", "--out", str(closed / "old.csv"), "--force"]) == 2
     assert "may not write in the folder" in capsys.readouterr().err
     assert (closed / "old.csv").read_text() == "kept"
+
+
+def test_a_read_only_medium_is_no_matter_of_rights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """sudo, which was named, does not help."""
+
+    class ReadOnly:
+        f_flag = os.ST_RDONLY
+
+    monkeypatch.setattr(os, "statvfs", lambda folder: ReadOnly)
+    assert main(["export", "day.sqlite", "--out", str(tmp_path / "new.csv")]) == 2
+    expected = "is on a read-only file system; expected a place on a medium that takes writing\n"
+    assert capsys.readouterr().err == f"yieldmon: --out {tmp_path / 'new.csv'}: the folder {tmp_path} {expected}"

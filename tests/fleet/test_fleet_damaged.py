@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.file_limit import files_end_at
 from tests.fleet import logs
 from tests.fleet.logs import dataset_files
 from tests.fleet.runs import tasks
@@ -174,3 +175,29 @@ def test_the_earlier_of_two_runs_that_begin_together_removes_nothing_of_the_othe
     with pytest.raises(InputError, match="was taken over by another `fleet run`"):
         Dataset(str(data)).begin((), other_begins)
     assert half.exists()
+
+
+def test_a_report_says_that_days_may_be_missing(tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A run was killed: what is there is not all."""
+    data, page = tmp_path / "data", tmp_path / "season.html"
+    fleet = ["fleet", "run", str(tree), "--out", str(data), "--workers", "0"]
+    assert main(fleet) == 0
+    (data / "_run").write_text("of a run that was killed")
+    said = "days may be missing: a `fleet run` is under way, was interrupted or left days out; run it again"
+    for unfinished in (True, False):
+        capsys.readouterr()
+        assert main(["fleet", "report", str(data), "--html", str(page), "--force"]) == 0
+        assert (f"yieldmon: {data}: {said}\n" in capsys.readouterr().err) == unfinished
+        assert (said[1:] in page.read_text()) == unfinished
+        assert summarise(str(data))["unfinished"] == unfinished
+        assert main(fleet) == 0
+
+
+def test_a_run_that_leaves_days_out_is_not_finished(tree: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    fleet = ["fleet", "run", str(tree), "--out", str(data), "--workers", "0"]
+    with files_end_at(1 << 13):
+        assert main(fleet) == 1
+    assert Dataset(str(data)).unfinished
+    assert main(fleet) == 0
+    assert not Dataset(str(data)).unfinished

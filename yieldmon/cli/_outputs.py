@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from yieldmon.errors import InputError, this_user
+from yieldmon.errors import InputError, remedy, this_user
 from yieldmon.files import unfinished, whole_file
 
 
@@ -98,6 +99,9 @@ def require_writable_folder(folder: Path, option: str) -> None:
 
 
 def _require_rights(folder: Path, where: str) -> None:
+    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+        read_only = OSError(errno.EROFS, os.strerror(errno.EROFS))
+        raise InputError(where, f"the folder {folder} is on a read-only file system", remedy(read_only))
     if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
         expected = "another folder, sudo, or rights to this one (`ls -ld` shows its owner and mode)"
         raise InputError(where, f"{this_user()} may not write in the folder {folder}", expected)

@@ -27,7 +27,7 @@ from yieldmon import __version__
 from yieldmon.bus.log_files import mf4
 from yieldmon.cli import _notes, _outputs
 from yieldmon.cli._usage import Parser, unknown
-from yieldmon.errors import InputError, refuse_nul, remedy
+from yieldmon.errors import InputError, refuse_nul, system_text
 from yieldmon.files.plain_text import plain
 
 EXIT_FAILED = 1
@@ -130,8 +130,7 @@ def _operational_errors() -> tuple[type[BaseException], ...]:
 def _print_error(error: object) -> None:
     text = str(error)
     if isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-        text += f"; expected {expected}" if (expected := remedy(error)) else ""
+        text = system_text(error)
     print(f"yieldmon: {plain(' '.join(text.split()))}", file=sys.stderr)
 
 

@@ -145,9 +145,10 @@ class DayProblem(TypedDict):
 
 class FleetReportDocument(TypedDict):
     """`yieldmon fleet report --json`. failed: days without a result; poisoned: parts of days that could not be used; doubtful:
-    what may be wrong with those that are measured."""
+    what may be wrong with those that are measured; unfinished: a run is under way, was interrupted or left days out."""
 
     dataset: str
+    unfinished: bool
     totals: FleetTotals
     machines: list[MachineSummary]
     days: list[DaySummary]

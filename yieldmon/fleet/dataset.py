@@ -78,7 +78,7 @@ class Dataset:
             self._files.remove(RUN)
 
     def abandon(self, token: str) -> None:
-        """The run stops before its end: what was under way goes."""
+        """The run stops before its end, or leaves days to the next one: what was under way goes."""
         if self._is_owner(token):
             self._files.remove(TEMPORARY)
 
@@ -114,6 +114,11 @@ class Dataset:
         if not self._files.is_folder():
             raise InputError(self.address, "no such dataset", "one that `yieldmon fleet run` wrote")
         return [commit for name in self._files.partitions() if (commit := self.commit_of(name)) is not None]
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a run is under way, was interrupted, or left days to the next one."""
+        return self._files.has(RUN)
 
     def failures(self) -> list[dict[str, Any]]:
         """What could not be measured: machine, day, problem. Raises InputError where that is damaged."""

@@ -19,6 +19,7 @@ th:first-child,td:first-child{text-align:left}th{background:#f2f5f3;position:sti
 svg{vertical-align:middle}
 @media print{.scroll{max-height:none;overflow:visible}th{position:static}}
 """
+UNFINISHED = "days may be missing: a `fleet run` is under way, was interrupted or left days out; run it again"
 _WIDTH, _HEIGHT = 120, 24
 
 
@@ -47,7 +48,8 @@ def page(summary: FleetReportDocument) -> str:
 
 def _problems(summary: FleetReportDocument) -> str:
     parts = ("Not measured", summary["failed"]), ("Left out", summary["poisoned"]), ("Doubtful", summary["doubtful"])
-    return "".join(_listed(title, items) for title, items in parts if items)
+    unfinished = f'<p class="bad">{escape(UNFINISHED[0].upper() + UNFINISHED[1:])}.</p>' if summary["unfinished"] else ""
+    return unfinished + "".join(_listed(title, items) for title, items in parts if items)
 
 
 def _listed(title: str, items: Sequence[DayProblem]) -> str:

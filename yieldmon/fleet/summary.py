@@ -78,10 +78,10 @@ def summarise(address: str) -> FleetReportDocument:
     Returns
     -------
     dict
-        totals; machines, by name; days, by machine and day; tickets; failed and poisoned; doubtful: damaged logs, days without a
-        zero, clocks that contradict a day's name, machines whose days were measured with several parameters or releases, tickets
-        that a machine's others contradict, logs that are there twice, and logs of a machine that overlap in time or hold the same
-        samples at other times. Masses are without what is there twice;
+        unfinished: whether days may be missing; totals; machines, by name; days, by machine and day; tickets; failed and
+        poisoned; doubtful: damaged logs, days without a zero, clocks that contradict a day's name, machines whose days were
+        measured with several parameters or releases, tickets that a machine's others contradict, logs that are there twice, and
+        logs of a machine that overlap in time or hold the same samples at other times. Masses are without what is there twice;
         counted_again_kg is what that is.
 
     Raises
@@ -98,7 +98,7 @@ def summarise(address: str) -> FleetReportDocument:
             for text in (_FAULTS, _PARAMETERS, _TICKETS)
         )
         failed = [_problem(note, note["problem"]) for note in query.dataset.failures()]
-        poisoned = _poisoned(query)
+        poisoned, unfinished = _poisoned(query), query.dataset.unfinished
         overlapping = overlaps(query, places)
         measured_kg = {(row["machine"], row["day"], row["name"]): row["measured_kg"] for row in query.rows(_LOG_MASSES)}
     doubtful, repeated = _doubtful(days, overlapping.pairs, samples_of(query), address)
@@ -111,6 +111,7 @@ def summarise(address: str) -> FleetReportDocument:
     machines = [_machine(name, *(part.get(name, []) for part in parts)) for name in parts[0]]
     return {
         "dataset": address,
+        "unfinished": unfinished,
         "totals": {
             "machines": len(machines), "machine_days": len(days), "hours": sum(row["seconds"] for row in days) / 3600.0,
             "mass_kg": sum(row["mass_kg"] for row in days),

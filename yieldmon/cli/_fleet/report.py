@@ -9,7 +9,7 @@ from yieldmon.cli._json import print_document
 from yieldmon.documents.fleet import FleetReportDocument, MachineSummary
 from yieldmon.files import whole_file
 from yieldmon.files.plain_text import plain
-from yieldmon.fleet.html import page
+from yieldmon.fleet.html import UNFINISHED, page
 from yieldmon.fleet.summary import summarise
 from yieldmon.units import counted
 
@@ -20,6 +20,8 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         whole_file.write(args.html, page(summary))
     print_document(summary, _text, as_json=args.json)
+    if summary["unfinished"]:
+        print(plain(f"yieldmon: {args.dataset}: {UNFINISHED}"), file=sys.stderr)
     for what, items in ("not measured", summary["failed"]), ("left out", summary["poisoned"]), ("doubtful", summary["doubtful"]):
         for item in items:
             print(plain(f"{what}: {item['machine']} {item['day']}: {item['problem']}"), file=sys.stderr)

@@ -81,7 +81,10 @@ def run(args: argparse.Namespace) -> int:
         _say(f"interrupted; {there} of {len(partitions)} days are in {args.out}; run again to continue")
         raise
     dataset.withdraw_failures([outcome.name for outcome in outcomes if outcome.status == SKIPPED], token)
-    dataset.end(token)
+    if any(outcome.status == LEFT for outcome in outcomes):
+        dataset.abandon(token)
+    else:
+        dataset.end(token)
     document = _document(args.out, outcomes, looked_at, found)
     if args.json:
         print_json(document)
