@@ -38,6 +38,29 @@ def ticket_entered(watched: Watched, site: str, typed: str) -> Locator:
     return dialog
 
 
+def test_what_is_typed_keeps_its_unit_where_the_daemon_takes_others(browser: Browser, tmp_path: Path) -> None:
+    """1000 kg became 1000 lb in an open dialog, whose text still said kg."""
+    with standing_in(tmp_path) as daemon:
+        daemon.seconds(30)
+        with page(daemon.socket) as site, Watched(browser) as watched:
+            watched.page.goto(site)
+            watched.wait(READY)
+            unit = "document.querySelector('#load-tile [data-unit=mass]').textContent"
+            dialog = dialog_of(watched, "Ticket")
+            for field, text in (("first_load", "1"), ("last_load", "1"), ("mass", "1000")):
+                dialog.locator(f"[name={field}]").fill(text)
+            daemon.units = "us"
+            daemon.seconds(1)
+            watched.wait("document.body.dataset.last === '31'")
+            assert watched.evaluate(unit) == "kg"
+            assert "Weighed, kg" in dialog.inner_text()
+            dialog.get_by_role("button", name="Correct the loads").click()
+            watched.wait(ASKED)
+            assert daemon.asked[-1]["mass_kg"] == 1000.0
+            daemon.seconds(1)
+            watched.wait(f"{unit} === 'lb'")
+
+
 @pytest.mark.parametrize(
     ("typed", "mass_kg"),
     [

@@ -64,9 +64,10 @@ const named = (noun, numbers) =>
   numbers.length > 1 ? `${noun}s ${numbers.slice(0, -1).join(", ")} and ${numbers.at(-1)}` : `${noun} ${numbers[0]}`;
 const flow = (kgS, most) => amount(kgS, units.flow, most);
 
-// Names of the units; the curve and the map are drawn anew where they change, with the crop or the daemon's configuration.
+// Names of the units; the curve and the map are drawn anew where they change, with the crop or the daemon's configuration. What is
+// being typed into a dialog keeps the units that it was begun in.
 function showUnits(begins) {
-  if (!begins && JSON.stringify(state.units) === JSON.stringify(units)) return;
+  if (!begins && (document.querySelector("dialog[open]") || JSON.stringify(state.units) === JSON.stringify(units))) return;
   units = state.units;
   for (const element of document.querySelectorAll("[data-unit]")) {
     if (element.textContent !== units[element.dataset.unit].name) element.textContent = units[element.dataset.unit].name;
