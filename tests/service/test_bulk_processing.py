@@ -137,6 +137,35 @@ def test_a_log_whose_every_frame_stands_there_several_times_counts_each_once(tim
     assert rows[-1].total_kg > 1.0
 
 
+@pytest.mark.parametrize(("from_s", "to_s", "frames"), [(6.0, 10.0, 1000), (18.0, math.inf, 1500)])
+def test_samples_of_a_recorder_whose_clock_stood_are_named(from_s, to_s, frames, tmp_path):
+    """Half the mass was missing without a word. python-can's logger gives one time to all frames after the clock was set back."""
+    stood = messages()
+    for message in stood:
+        if START_S + from_s <= message.timestamp < START_S + to_s:
+            message.timestamp = START_S + from_s
+    path = write(tmp_path / "stood.log", stood)
+    rows, summary = rows_of(process_in_bulk, [path])
+    assert (rows, summary) == rows_of(process_logs, [path])
+    (said,) = summary.damages
+    found = re.fullmatch(
+        rf"{path}: (\d+) frames of ImpactSensorSamples, \d s of samples, have one time, {START_S + from_s:.3f} s: "
+        "the recorder's clock stood, and they are not measured",
+        said,
+    )
+    assert found, said
+    assert int(found[1]) == pytest.approx(frames, abs=2)
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.1, 1.0])
+def test_coarse_times_of_a_recorder_are_no_clock_that_stood(step_s, tmp_path):
+    coarse = messages()
+    for message in coarse:
+        message.timestamp = math.floor(message.timestamp / step_s) * step_s
+    _, summary = rows_of(process_in_bulk, [write(tmp_path / "coarse.log", coarse)])
+    assert not [line for line in summary.damages if "clock" in line]
+
+
 @pytest.mark.parametrize(("first", "last"), [(0.0, 0.5), (0.5, 1.0), (0.3, 0.4)])
 def test_copies_of_part_of_a_log_count_once(first, last, log, tmp_path):
     """That part had no mass, and only copies at the beginning were found."""

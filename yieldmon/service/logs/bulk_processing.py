@@ -37,6 +37,7 @@ from yieldmon.identifiers import EXTENDED_FLAG
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.processing import Summary, hand_over, refuse_nothing
 from yieldmon.service.logs.recorded_before import RecordedBefore, SameTimes
+from yieldmon.service.logs.stopped_clock import StoppedClock
 from yieldmon.service.logs.time_units import TimeUnitCheck
 from yieldmon.service.storage.rows import SecondRow
 from yieldmon.service.traffic.side_inputs import SideInputs
@@ -146,7 +147,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
     one_channel = None if taking.channels else OneChannel(taking.signals.sources)
     recorded, sensors = RecordedBefore(taking.channels), {source.message for source in taking.signals.sources.impact}
     for path in paths:
-        notes, frames, channels = LogNotes(), 0, frozenset[str]()
+        notes, frames, channels, clock = LogNotes(), 0, frozenset[str](), StoppedClock(taking.signals.sources)
         twice, again_lines, repeats, same_times = "", list[str](), False, list[SameTimes]()
         for part in range(logs_in(path)):
             if part:
@@ -161,6 +162,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
                 columns, refused = _decoded(taking, decoder, side, block)
                 for name in sensors & columns.keys():
                     recorded.take(block, columns[name].rows)
+                    clock.take(name, columns[name].time_s)
                 if one_channel is not None:
                     one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
                 found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
@@ -171,7 +173,7 @@ def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | End
             repeats = repeats or bool(again)
             same_times += recorded.same_times()
         shared = one_channel.end_of_log(path) if one_channel is not None else []
-        damages = [*notes.lacks(path), *([f"{path}: {twice}"] if twice else []), *shared, *again_lines]
+        damages = [*notes.lacks(path), *([f"{path}: {twice}"] if twice else []), *shared, *clock.end_of_log(path), *again_lines]
         yield EndOfLog(path, damages, channels, repeats, twice, tuple(same_times))
     if decoder.under_way:
         yield Stretch(0, 0, 0, incomplete=decoder.under_way)

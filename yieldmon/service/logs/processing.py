@@ -20,6 +20,7 @@ from yieldmon.engine.results import Result, records_in
 from yieldmon.errors import InputError
 from yieldmon.service.logs.channels import OneChannel
 from yieldmon.service.logs.recorded_before import RecordedBefore
+from yieldmon.service.logs.stopped_clock import StoppedClock
 from yieldmon.service.logs.time_units import TimeUnitCheck
 from yieldmon.service.storage.rows import SecondRow, second_row
 from yieldmon.service.traffic.input_frames import InputFrames
@@ -128,7 +129,7 @@ def process_logs(
     one_channel = None if channels else OneChannel(mapping.sources)
     recorded = RecordedBefore(tuple(channels))
     for path in paths:
-        notes, twice, again = LogNotes(), list[str](), list[str]()
+        notes, twice, again, clock = LogNotes(), list[str](), list[str](), StoppedClock(mapping.sources)
         for message in _each_once(str(path), recorded, monitor, notes, twice, again):
             channel = channel_name(message)
             summary.channels.add(channel)
@@ -144,6 +145,7 @@ def process_logs(
                 summary.samples += 1
                 recorded.take_message(message)
             for frame in frames:
+                clock.take_frame(frame.message, frame.time_s)
                 if frame.message == first:
                     unit.take(", ".join(map(str, paths)), [frame.time_s])
                 if one_channel is not None:
@@ -151,7 +153,7 @@ def process_logs(
                 hand_over(monitor.feed(frame), take_row, summary)
         shared = one_channel.end_of_log(str(path)) if one_channel is not None else []
         summary.frames += notes.frames
-        summary.damages += [*notes.lacks(path), *twice[:1], *shared, *again]
+        summary.damages += [*notes.lacks(path), *twice[:1], *shared, *clock.end_of_log(str(path)), *again]
     summary.incomplete = bus.incomplete + bus.under_way
     refuse_nothing(paths, summary, channels)
     return summary
