@@ -93,3 +93,30 @@ def test_parameters_of_no_calibration_are_said_to_be_that(
         server.stop()
     shown = " ".join(capsys.readouterr().out.split())
     assert {sentence for sentence in (NOT_CALIBRATED, OF_CORN) if sentence in shown} == said
+
+
+KERNELS = {
+    "published": True, "shape_volume_flow_m3_s": None, "shape_volume_std_dev_m3_s": None, "shape_flow_kg_s": None,
+    "shape_std_dev_kg_s": None, "shape_verdict": "no_pulses", "shape_missing_because": "no pulse", "kernel_flow_kg_s": 20.0,
+    "kernel_std_dev_kg_s": 3.0, "kernel_verdict": "used", "kernel_missing_because": None, "thousand_kernel_weight_g": 700.0,
+    "contradiction": None, "stretch_by_mean_force": None, "kernel_bias_by_mean_force": 0.6,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [({"only_kernels_set_scale": True}, True), ({"only_kernels_set_scale": False}, False), ({}, False)],
+    ids=["by kernels alone", "weighed", "a daemon that does not tell"],
+)
+def test_a_scale_that_rests_on_the_kernel_weight_alone_is_said_to(
+    document: dict[str, Any], told: dict[str, bool], said: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server = ControlServer(tmp_path / "yieldmon.sock", None, lambda _: {**document, "waveform": {**KERNELS, **told}})
+    server.start()
+    try:
+        assert cli.main(["status", "--socket", str(tmp_path / "yieldmon.sock")]) == 0
+    finally:
+        server.stop()
+    text = " ".join(capsys.readouterr().out.split())
+    assert "kernels 20.0 kg/s ± 3.00 kg/s" in text
+    assert ("scale rests on 700 g for a thousand kernels: no weighed load confirms it" in text) is said

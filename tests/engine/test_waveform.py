@@ -25,7 +25,7 @@ from yieldmon.engine.self_calibration.parameter_updater import ParametersChanged
 from yieldmon.engine.settings import EngineSettings, SweepSettings, WaveformSettings
 from yieldmon.engine.state import EngineState
 from yieldmon.estimation.open_loop import OpenLoop
-from yieldmon.estimation.parameters import ParameterSet
+from yieldmon.estimation.parameters import NOT_CALIBRATED, WEIGHED, ParameterSet
 from yieldmon.estimation.waveform.channel_combination import combine
 from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
 from yieldmon.estimation.waveform.shape_verdict import ShapeVerdict
@@ -309,6 +309,25 @@ def heard(parameters: ParameterSet = PARAMETERS, **settings: object) -> tuple[li
     return [r for r in records if np.isfinite(r.kernel_flow_kg_s)], monitor
 
 
+@pytest.mark.parametrize(
+    ("scale", "weight_g", "alone"),
+    [
+        pytest.param(NOT_CALIBRATED, 350.0, True, id="a prior, the right weight"),
+        pytest.param(NOT_CALIBRATED, 700.0, True, id="a prior, twice the weight"),
+        pytest.param(WEIGHED, 350.0, False, id="weighed, the right weight"),
+        pytest.param(WEIGHED, 700.0, False, id="weighed, twice the weight"),
+    ],
+)
+def test_a_wrong_kernel_weight_contradicts_a_weighed_scale_and_beside_a_prior_is_all_there_is(
+    scale: str, weight_g: float, alone: bool
+) -> None:
+    records, monitor = heard(replace(PARAMETERS, provenance={"scale": scale}), thousand_kernel_weight_g=weight_g)
+    wrong = scale == WEIGHED and weight_g == 700.0
+    assert (FaultCode.WAVEFORM_CONTRADICTS in records[-1].faults) is wrong
+    assert records[-1].kernel_verdict is (KernelVerdict.CONTRADICTS if wrong else KernelVerdict.USED)
+    assert monitor.only_kernels_set_scale is alone
+
+
 def test_kernel_noise_gives_the_flow_where_the_flow_changes() -> None:
     """Taken off by one mean for all loads, the pulses left 1.5 times the noise of the kernels."""
     records, monitor = heard()
@@ -579,6 +598,15 @@ def test_kernels_update_the_parameters_and_are_then_not_counted_a_second_time() 
     assert sum(r.mass_kg for r in heard(DOUBTED, **sure)[0][-15:]) > 1.1 * true_kg
     together, _ = listened(learner(DOUBTED, FAST, combine=True, stretch_sd=1.0, **sure), stepping())
     assert sum(r.mass_kg for r in together[-15:]) == pytest.approx(sum(r.mass_kg for r in records[-15:]), rel=0.02)
+
+
+@pytest.mark.parametrize("scale", [NOT_CALIBRATED, "", WEIGHED])
+def test_a_scale_by_kernels_alone_is_said_to_rest_on_their_weight(scale: str) -> None:
+    known = replace(DOUBTED, provenance={"scale": scale} if scale else {})
+    monitor = learner(known, FAST, thousand_kernel_weight_g=400.0)
+    _, changes = listened(monitor, stepping())
+    rests = [change.reason.endswith("; no weighed load confirms the kernel weight on which it rests") for change in changes]
+    assert set(rests) == {scale == NOT_CALIBRATED}
 
 
 def test_the_bias_outlives_a_restart_with_the_parameters_that_it_updated() -> None:

@@ -70,6 +70,7 @@ def test_status_and_records_say_what_there_is_and_why_the_rest_is_missing(tmp_pa
     assert seen["shape_verdict"] in {verdict.name.lower() for verdict in ShapeVerdict}
     assert (seen["shape_verdict"] == "used") is (seen["shape_flow_kg_s"] is not None)
     assert seen["kernel_missing_because"]
+    assert seen["only_kernels_set_scale"] is False
     assert (seen["shape_flow_kg_s"] is None) is bool(seen["shape_missing_because"])
     assert rows[-1]["mean_force_flow_kg_s"] > 0.0
     assert {"shape_volume_flow_m3_s", "shape_verdict", "kernel_verdict", "thousand_kernel_weight_g"} <= set(rows[-1])

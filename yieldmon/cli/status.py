@@ -241,6 +241,9 @@ def _waveform(seen: StatusWaveform | None, units: Units) -> Iterator[tuple[str, 
         ("kernels", seen["kernel_flow_kg_s"], seen["kernel_std_dev_kg_s"], seen["kernel_missing_because"]),
     ):
         yield name, f"no flow: {why}" if flow is None else f"{units.flow(flow)} ± {units.flow(around)}"
+    if seen.get("only_kernels_set_scale"):
+        weight = f"{_number(seen['thousand_kernel_weight_g'])} g for a thousand kernels"
+        yield "", f"that flow's scale rests on {weight}: no weighed load confirms it (`yieldmon ticket`)"
 
 
 def _words(code: str) -> str:

@@ -83,7 +83,8 @@ class StatusWaveform(TypedDict):
     from kernel noise, or why there is none. shape_verdict, kernel_verdict: as in records, by name. contradiction:
     of shape or kernel noise with the mean force. stretch_by_mean_force, kernel_bias_by_mean_force: the `waveform.stretch` and
     `waveform.kernel_bias` with which they would agree with it over the last windows; with `waveform.shape_terms` a factor on the
-    terms' stretch."""
+    terms' stretch. only_kernels_set_scale: kernel noise gives a flow, and neither a weighed load nor a calibration confirms its
+    scale, which is proportional to the thousand-kernel weight."""
 
     published: bool
     shape_volume_flow_m3_s: Number
@@ -97,6 +98,7 @@ class StatusWaveform(TypedDict):
     kernel_verdict: str
     kernel_missing_because: str | None
     thousand_kernel_weight_g: Number
+    only_kernels_set_scale: bool
     contradiction: str | None
     stretch_by_mean_force: Number
     kernel_bias_by_mean_force: Number

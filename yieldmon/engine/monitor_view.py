@@ -14,6 +14,7 @@ from yieldmon.engine.sources import Sources
 from yieldmon.engine.sweeps.disagreement import Disagreement
 from yieldmon.engine.sweeps.sweep import PlateSweep
 from yieldmon.engine.waveform.waveform_reading import WaveformReading
+from yieldmon.estimation.waveform.kernel_noise import KernelVerdict
 from yieldmon.physics.machine import Machine
 
 
@@ -120,6 +121,13 @@ class MonitorView:
     def waveform(self) -> WaveformReading | None:
         """Shape and kernel noise of the last window's samples; None where they are not evaluated."""
         return self._parts.waveform.last if self._parts.waveform is not None else None
+
+    @property
+    def only_kernels_set_scale(self) -> bool:
+        """Whether kernel noise gives a flow and nothing confirms its scale, see `ParameterSet.scale_is_measured`: a wrong
+        thousand-kernel weight makes the flow wrong by as much."""
+        seen = self.waveform
+        return seen is not None and seen.kernels is KernelVerdict.USED and not self.estimator.parameters.scale_is_measured
 
     @property
     def kernel_weight_g(self) -> float:

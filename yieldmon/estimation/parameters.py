@@ -217,6 +217,12 @@ class ParameterSet:
         return {NOT_CALIBRATED: UNCALIBRATED_SD, CARRIED: CARRIED_SD}.get(scale, 0.0)
 
     @property
+    def scale_is_measured(self) -> bool:
+        """Whether a weighed load or a calibration set the scale: neither a prior alone nor kernel noise, whose flow is
+        proportional to the thousand-kernel weight that was entered."""
+        return self.scale_error == 0.0 and self.provenance.get(SCALE) != BY_KERNELS
+
+    @property
     def carried_from(self) -> str:
         """The crop in which the scale was set, where it is that of another one (`weighing.other_crop`); else ""."""
         return self.provenance.get(CARRIED_FROM, "") if self.provenance.get(SCALE) == CARRIED else ""

@@ -186,6 +186,8 @@ class ClosedLoopCalibrator:
             f"kernel noise moved the scale by {100.0 * updated.moved:+.1f} %; its bias is known to "
             f"{100.0 * updated.bias.variance**0.5:.1f} %"
         )
+        if facts.get(SCALE) == BY_KERNELS:
+            reason += "; no weighed load confirms the kernel weight on which it rests"
         return CalibrationOutcome(OpenLoop(self._model, known), reason)
 
     def follow(self, record: WindowRecord, estimator: FlowEstimator) -> CalibrationOutcome | None:

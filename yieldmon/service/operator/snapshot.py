@@ -236,6 +236,7 @@ def _waveform(monitor: MonitorView) -> StatusWaveform | None:
         "kernel_verdict": seen.kernels.name.lower(),
         "kernel_missing_because": seen.kernels_reason or None,
         "thousand_kernel_weight_g": finite(seen.kernel_weight_g),
+        "only_kernels_set_scale": monitor.only_kernels_set_scale,
         "contradiction": seen.contradiction or None,
         "stretch_by_mean_force": finite(seen.stretch),
         "kernel_bias_by_mean_force": finite(seen.bias),
