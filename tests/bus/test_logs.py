@@ -626,6 +626,20 @@ def test_an_mdf_of_version_3_is_named(tmp_path: Path, capsys) -> None:
     assert "MDF of version 3.30, which holds signals and no frames" in line
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".db"])
+def test_long_frames_of_a_format_without_a_mark_for_them_are_can_fd(tmp_path: Path, suffix: str) -> None:
+    """python-can's writers of these formats do not say which frames are CAN FD's."""
+    path = tmp_path / f"fd{suffix}"
+    frames = [
+        can.Message(timestamp=1e9 + k, arbitration_id=0x123, data=bytes(range(length)), is_fd=length > 8)
+        for k, length in enumerate((8, 12, 24, 64, 2))
+    ]
+    write(path, frames)
+    notes = LogNotes()
+    assert [(bytes(m.data), m.is_fd) for m in read_log(path, notes)] == [(bytes(m.data), m.is_fd) for m in frames]
+    assert notes.damaged_places == 0
+
+
 def test_an_asc_without_a_header_keeps_its_first_frame(tmp_path: Path) -> None:
     path = tmp_path / "bare.asc"
     path.write_text("   0.500000 1  8FF1081x  Rx   d 2 0A FF\n   0.504000 1  123  Rx   d 1 07\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import can
 
-from yieldmon.identifiers import CLASSIC_BYTES, FD_BYTES, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
+from yieldmon.identifiers import CLASSIC_BYTES, FD_BYTES, FD_LENGTHS, LARGEST_EXTENDED_ID, LARGEST_STANDARD_ID
 
 
 def impossible(message: can.Message) -> str | None:
@@ -30,3 +30,10 @@ def impossible(message: can.Message) -> str | None:
     if not message.is_remote_frame and not is_error and len(message.data) != message.dlc:
         return f"{len(message.data)} bytes of data where the length says {message.dlc}"
     return None
+
+
+def with_fd_by_length(message: can.Message) -> can.Message:
+    """The frame of a log whose format does not say which frames are CAN FD's, with `is_fd` where only CAN FD has its length."""
+    if message.dlc > CLASSIC_BYTES and message.dlc in FD_LENGTHS and not (message.is_remote_frame or message.is_error_frame):
+        message.is_fd = True
+    return message

@@ -10,6 +10,7 @@ from typing import Any
 import can
 
 from yieldmon.bounded_sqlite import address, bound, reading
+from yieldmon.bus.log_files.frame_check import with_fd_by_length
 
 SUFFIX = ".db"
 _COLUMNS = "ts, arbitration_id, extended, remote, error, dlc, data"
@@ -40,10 +41,11 @@ class SqliteLog:
             if not isinstance(data, bytes):
                 # A bytearray of a number would be as many zeros.
                 raise ValueError(f"its data are not bytes but {data!r:.40}")
-            yield can.Message(
+            message = can.Message(
                 timestamp=float(ts), arbitration_id=int(identifier), is_extended_id=bool(extended), is_remote_frame=bool(remote),
                 is_error_frame=bool(error), dlc=int(dlc), data=data,
             )  # fmt: skip
+            yield with_fd_by_length(message)
 
     def _rows(self) -> Iterator[tuple[Any, ...]]:
         with reading():

@@ -13,7 +13,7 @@ from typing import Any, cast
 import can
 
 from yieldmon.bus.log_files.candump import dropped_frames, is_explanation, lacks_time, parse_line
-from yieldmon.bus.log_files.frame_check import impossible
+from yieldmon.bus.log_files.frame_check import impossible, with_fd_by_length
 from yieldmon.bus.log_files.gunzip import early_end_of, open_bytes
 from yieldmon.bus.log_files.log_notes import LogNotes
 from yieldmon.bus.log_files.log_times import TIMES_LOOKED_AT, not_backwards, refuse_times_between_frames
@@ -250,7 +250,8 @@ def _read_csv(lines: _Lines, notes: LogNotes) -> Iterator[can.Message]:
 def _frame_in_place_of(heading: str) -> list[can.Message]:
     """The frame that stands where python-can's .csv has its heading, as in a part of a log that was split; else empty."""
     with suppress(*_NO_FRAME):
-        return [message for message in can.CSVReader(io.StringIO(f"{_RESUME_LINE}\n{heading}\n")) if impossible(message) is None]
+        found = map(with_fd_by_length, can.CSVReader(io.StringIO(f"{_RESUME_LINE}\n{heading}\n")))
+        return [message for message in found if impossible(message) is None]
     return []
 
 
@@ -290,7 +291,7 @@ def _read_with_python_can(lines: _Lines) -> Iterator[can.Message]:
     reported = -1
     while True:
         try:
-            for message in reader:
+            for message in map(with_fd_by_length, reader):
                 problem = impossible(message)
                 if problem is None:
                     yield message
