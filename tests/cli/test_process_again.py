@@ -205,6 +205,7 @@ def test_a_log_whose_empty_plate_shakes_like_grain_says_so_and_takes_a_known_zer
 def test_a_log_that_begins_in_grain_says_why_there_is_no_mass_and_takes_a_known_zero(capsys, tmp_path, logs) -> None:
     _, _, err = process(capsys, tmp_path, logs["grain"])
     assert "no mass: the elevator never runs empty in the log" in err
+    assert "header_down or work_state says throughout that the machine cuts" in err
     assert "--zero-mv" in err
     _, _, err = process(capsys, tmp_path, logs["grain"], "--zero-mv", ZERO_MV)
     assert "no mass" not in err

@@ -50,9 +50,10 @@ def _why_no_mass(document: ProcessSummary) -> str:
     if why := _why_no_zero(document):
         return f"{why}; {shown}"
     return (
-        "the elevator never runs empty in the log, or its paddles shake the plate too much, so there is no zero; give one with "
-        "--zero-mv, from the table of an earlier log or `yieldmon status`; if the log begins empty, run `yieldmon check-config "
-        "CONFIG --log LOG`: it tests whether the samples can be a force"
+        "the elevator never runs empty in the log, header_down or work_state says throughout that the machine cuts, or its "
+        "paddles shake the plate too much, so there is no zero; give one with --zero-mv, from the table of an earlier log or "
+        "`yieldmon status`; if the log begins empty, run `yieldmon check-config CONFIG --log LOG`: it tests whether the samples "
+        "can be a force"
     )
 
 
