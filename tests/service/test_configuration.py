@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -166,11 +167,31 @@ def test_what_the_service_writes_overwrites_nothing(tmp_path, text, problem):
     assert str(raised.value) == f"{path}: {problem.replace('HERE', folder)}; expected a file of its own"
 
 
-def test_a_store_has_a_name(tmp_path):
-    path = tmp_path / "c.yaml"
-    path.write_text("store: {path: /}")
-    with pytest.raises(InputError, match=r"c\.yaml: store\.path: '/'; expected the name of a file$"):
-        configuration.load(path, ENVIRONMENT)
+@pytest.mark.parametrize("key", ["store.path", "status.socket", "status.prometheus_file"])
+@pytest.mark.parametrize("name", ["/", "", ".", "..", "a/", "a/.", "/var/.."])
+def test_what_the_service_writes_has_a_name(written, key: str, name: str) -> None:
+    section, _, last = key.partition(".")
+    with pytest.raises(InputError, match=rf"{re.escape(f': {key}: {name!r}')}; expected the name of a file$"):
+        configuration.load(written(f"{section}: {{{last}: '{name}'}}"), ENVIRONMENT)
+
+
+@pytest.mark.parametrize("word", ["off", "no", "none", "false"])
+def test_a_quantity_is_switched_off_by_null(written, word: str) -> None:
+    with pytest.raises(
+        InputError, match=r"signals\.moisture: \S+; expected null to switch it off, or a mapping with dbc, message"
+    ):
+        configuration.load(written(f"signals: {{moisture: {word}}}"), ENVIRONMENT)
+
+
+def test_a_home_folder_is_the_shells(written) -> None:
+    with pytest.raises(InputError, match=r"store\.path: '~/y\.sqlite'; expected a path without ~, which only a shell"):
+        configuration.load(written("store: {path: ~/y.sqlite}"), ENVIRONMENT)
+
+
+@pytest.mark.parametrize(("text", "decimal"), [("0x83", 131), ("0o203", 131), ("0b101", 5)])
+def test_a_number_of_another_base_is_told_in_decimal(written, text: str, decimal: int) -> None:
+    with pytest.raises(InputError, match=rf"'{text}'; expected a whole number from 0 to 253 \(in decimal: {decimal}\)$"):
+        configuration.load(written(f"network: {{preferred_address: {text}}}"), ENVIRONMENT)
 
 
 @pytest.mark.parametrize("socket", ["/" + "s" * 106, "s"])

@@ -33,6 +33,7 @@ _UNCLOSED: tuple[tuple[str, str, str], ...] = (
     ("found unexpected end of stream", "a quote that is not closed", "the same quote at the end of the text"),
 )
 _RESERVED = re.compile(r"found character '(.+)' that cannot start any token")
+_OTHER_BASE = re.compile(r"[-+]?0(x[0-9a-f]{1,16}|o[0-7]{1,20}|b[01]{1,60})", re.I)
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*")
 _WITH_UNIT = re.compile(r"\s*[-+]?\d[\d.,]*\s*(?![eE][-+]?\d)[^\W\d_].*|\s*[-+]?\d[\d.,]*\s*[%°\"'].*")
 
@@ -70,11 +71,13 @@ def of_a_number(value: object) -> str:
 
     Examples
     --------
-    >>> of_a_number("9,1"), of_a_number("9.1 m"), of_a_number("wide")
-    (' (with a point, not a comma)', ' (the number alone, without a unit)', '')
+    >>> of_a_number("9,1"), of_a_number("9.1 m"), of_a_number("0x83"), of_a_number("wide")
+    (' (with a point, not a comma)', ' (the number alone, without a unit)', ' (in decimal: 131)', '')
     """
     if not isinstance(value, str):
         return ""
+    if _OTHER_BASE.fullmatch(value):
+        return f" (in decimal: {int(value, 0)})"
     if _DECIMAL_COMMA.fullmatch(value):
         return " (with a point, not a comma)"
     if _WITH_UNIT.fullmatch(value):

@@ -45,7 +45,7 @@ from yieldmon.service.config.former_keys import with_present_keys
 from yieldmon.service.config.named_file import load_named
 from yieldmon.service.config.out_of_reach import out_of_reach
 from yieldmon.service.config.output_section import output_map
-from yieldmon.service.config.own_files import file_conflicts
+from yieldmon.service.config.own_files import file_conflicts, no_files
 from yieldmon.service.config.signal_section import mistakes, signal_map
 from yieldmon.service.folders import runtime_folder, state_folder, where_sqlite_writes
 from yieldmon.service.storage.retention import Retention
@@ -146,7 +146,7 @@ def build(content: Any, path: Path, environment: Mapping[str, str] = os.environ)
         network=document.network.enabled,
         fixed_plate=fixed_angle_deg is not None,
     )  # fmt: skip
-    written = _written_files(document, environment)
+    written = _written_files(document, path, environment)
     read = (path, *named.paths, *databases, *output_databases)
     conflicts = file_conflicts(written.store, written.socket, written.prometheus, read)
     problems = [InputError(f"{path}: {key}", *rest) for key, *rest in (*contradictions(document, engine, machine), *conflicts)]
@@ -213,7 +213,12 @@ class _WrittenFiles:
     prometheus: Path | None
 
 
-def _written_files(document: Document, environment: Mapping[str, str]) -> _WrittenFiles:
+def _written_files(document: Document, path: Path, environment: Mapping[str, str]) -> _WrittenFiles:
+    """Raises ConfigurationError for names that no file has."""
+    store, status = document.store, document.status
+    names = {"store.path": store.path, "status.socket": status.socket, "status.prometheus_file": status.prometheus_file}
+    if nameless := no_files(names):
+        raise ConfigurationError([InputError(f"{path}: {key}", *rest) for key, *rest in nameless])
     named_store = state_folder(environment) / document.store.path
     runtime, prometheus = runtime_folder(environment), document.status.prometheus_file
     return _WrittenFiles(

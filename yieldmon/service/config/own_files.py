@@ -9,8 +9,19 @@ from pathlib import Path
 from yieldmon.service.answering import answer_or
 from yieldmon.service.storage.store_names import names_beside
 
-#: What is said of a key that names no file at all.
-_NAME = "the name of a file"
+_NO_FILE = ("", ".", "..")
+
+
+def no_files(names: Mapping[str, str | None]) -> list[tuple[str, str, str]]:
+    """Key, problem and what was expected for each name that is no file's. names: by key, as the configuration has them; None: no
+    file is asked for."""
+    found = []
+    for key, name in names.items():
+        if name is not None and name.rpartition("/")[2] in _NO_FILE:
+            found.append((key, f"'{name}'", "the name of a file"))
+        elif name is not None and name.startswith("~"):
+            found.append((key, f"'{name}'", "a path without ~, which only a shell replaces by a home folder"))
+    return found
 
 
 def file_conflicts(store: Path, socket: Path, prometheus: Path | None, read: Iterable[Path]) -> list[tuple[str, str, str]]:
@@ -31,8 +42,6 @@ def file_conflicts(store: Path, socket: Path, prometheus: Path | None, read: Ite
     -----
     Where the disk of one of them does not answer, paths are compared as they are spelt: a start must not wait for it.
     """
-    if not store.name:
-        return [("store.path", f"'{store}'", _NAME)]
     read, stores = tuple(read), (store, *names_beside(store))
     written: Mapping[str, Path | None] = {"status.socket": socket, "status.prometheus_file": prometheus}
     place = _places([*read, *stores, *(path for path in written.values() if path is not None)])

@@ -108,6 +108,7 @@ _EXPECTED = {
 }
 
 
+_OFF = ("off", "no", "none")
 _OF_PLATE = ("plate_angle", "actuator_state")
 
 
@@ -178,6 +179,8 @@ def database_reader(path: Path) -> Callable[[str], dict[str, MessageBits]]:
 
 def _bindings(quantity: str, entries: Any, where: str) -> list[Binding]:
     """Of one quantity, which may be a list for impact sensors."""
+    if entries is False or (isinstance(entries, str) and entries.lower() in _OFF):
+        raise InputError(where, repr(entries), "null to switch it off, or a mapping with dbc, message and signal")
     if not isinstance(entries, list):
         return [_binding(quantity, entries, where)]
     if quantity not in IMPACT:
