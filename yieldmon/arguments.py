@@ -44,6 +44,8 @@ def of_other_type(name: str, given: object, expected: str) -> InputError:
 def require_path(given: object) -> None:
     """Refuse a `path` that is none. Raises InputError."""
     require_type("path", given, (str, PathLike), "a path")
+    if given == "":
+        raise InputError("path", "is ''", "a path")
     refuse_nul(given)
 
 

@@ -27,7 +27,8 @@ class Codec:
     Parameters
     ----------
     dbc_path : path, optional
-        The DBC; None: the shipped one.
+        The DBC, of 29-bit identifiers, 1 to 8 bytes, and little-endian signals without sign; None: the shipped one. Other
+        layouts are read by a mapping (`signals` of the configuration).
 
     Attributes
     ----------

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from yieldmon.arguments import require_path
 from yieldmon.bus import dbc_file
 from yieldmon.errors import InputError
 from yieldmon.identifiers import CLASSIC_BYTES, GROUP_MASK, IDENTITY_MASK
@@ -103,7 +104,10 @@ def load_layouts(dbc_path: Path | str | None = None) -> dict[str, MessageLayout]
     Raises InputError for a file that is missing, no DBC, or uses what these frames never do (11-bit identifiers,
     multiplexing, signed, float or big-endian signals, frames of other than 1 to 8 bytes).
     """
-    return _read(Path(dbc_path)) if dbc_path is not None else dict(_shipped())
+    if dbc_path is None:
+        return dict(_shipped())
+    require_path(dbc_path)
+    return _read(Path(dbc_path))
 
 
 @cache

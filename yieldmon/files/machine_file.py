@@ -7,6 +7,7 @@ from math import degrees, radians
 from pathlib import Path
 from typing import Any
 
+from yieldmon.arguments import require_path
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import LONGEST_RESPONSE_S, RPM, ImpactSensor, Implement, Machine
 from yieldmon.resources import shipped
@@ -70,6 +71,7 @@ def load(path: str | Path | None = None) -> Machine:
     'sprocket-8'
     """
     path = shipped(DEFAULT) if path is None else path
+    require_path(path)
     return from_document(load_mapping(path), path)
 
 

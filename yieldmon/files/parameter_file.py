@@ -70,6 +70,7 @@ def load(path: str | Path | None = None) -> ParameterSet:
     ('gravity',)
     """
     path = shipped(DEFAULT) if path is None else path
+    require_path(path)
     return _plausible(load_mapping(path), str(path))
 
 

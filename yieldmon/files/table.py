@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from yieldmon.arguments import require_path
 from yieldmon.errors import InputError
 from yieldmon.physics.machine import RPM, Machine
 from yieldmon.physics.model import Conditions
@@ -258,6 +259,7 @@ def load(path: str | Path, *, need_load: bool = True, used: str | None = None) -
     >>> len(table), table.momentum(api.Machine()).round(2).tolist()
     (2, [3.3, 7.25])
     """
+    require_path(path)
     source = delimited.read(path)
     where = source.path
     names = {name: _ALSO.get(name, name) for name in source.header}

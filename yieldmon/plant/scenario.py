@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, model_validator
 
+from yieldmon.arguments import require_path
 from yieldmon.errors import InputError
 from yieldmon.files import strict_yaml
 from yieldmon.plant.actuator import ActuatorFault, ActuatorSettings
@@ -215,5 +216,6 @@ def load(path: Path | str) -> Scenario:
     >>> api.load_scenario(api.shipped("config/scenarios/demo.yaml")).machine
     'sprocket-8'
     """
+    require_path(path)
     values = strict_yaml.load(path)
     return from_mapping(values if values is not None else {}, str(path))
