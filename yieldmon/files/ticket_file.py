@@ -90,47 +90,89 @@ def load(path: str | Path) -> tuple[WeighedTicket, ...]:
     Raises InputError naming line and column.
     """
     source = delimited.read(path)
-    which = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
-    mass, factor = _with_unit(source, _MASSES, "weighed_kg")
-    deviation, other, other_deviation = (_if_there(source, kinds) for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS))
-    machine_column, part_column = (
-        next((name for name in source.header if _plain(name) == wanted), None) for wanted in (_MACHINE, _PART)
-    )
-    machines, parts = (() if name is None else source.column(name) for name in (machine_column, part_column))
-    used = {which, mass, machine_column, part_column, *(found[0] for found in (deviation, other, other_deviation) if found)}
-    if unused := [name for name in source.header if name.strip() and name not in used]:
+    columns = _columns(source)
+    if unused := [name for name in source.header if name.strip() and name not in columns.names]:
         are = "columns are not used" if len(unused) > 1 else "a column is not used"
         _log.warning("%s: %s: %s", source.path, are, brief(", ".join(unused)))
-    tickets = []
-    for i, cell in enumerate(source.column(which)):
-        if not cell:
-            raise InputError(source.where(i, which), "is empty", "the number of a load, or the name of its log")
-        if date := _DATE.fullmatch(cell):
-            expected = "the number of a load; of 3-5 a spreadsheet makes a date unless the column is formatted as text"
-            raise InputError(source.where(i, which), f"is a date, {date[1]}", expected)
-        kg = _number(source, i, mass) * factor
-        if not _MIN_KG <= kg <= _MAX_KG:
-            raise InputError(source.where(i, mass), f"is {kg:g} kg", f"a mass from {_MIN_KG:g} to {_MAX_KG:g} kg")
-        sd = RELATIVE_STD_DEV * kg
-        if deviation is not None and not delimited.is_unknown(source.column(deviation[0])[i]):
-            sd = _number(source, i, deviation[0]) * deviation[1]
-            if not 0.0 < sd < kg:
-                raise InputError(source.where(i, deviation[0]), f"is {sd:g} kg", f"above 0 and below the load's {kg:g} kg")
-        other_sd = 0.0
-        if other is not None and not delimited.is_unknown(source.column(other[0])[i]):
-            of_other, weighed_sd = None, sd
-            if other_deviation is not None and not delimited.is_unknown(source.column(other_deviation[0])[i]):
-                of_other = _number(source, i, other_deviation[0]) * other_deviation[1]
-            kg, sd = own_part(kg, sd, _number(source, i, other[0]) * other[1], of_other, source.where(i, other[0]))
-            other_sd = (sd**2 - weighed_sd**2) ** 0.5
-        # Spreadsheets and word processors make a longer dash of a hyphen between numbers.
-        first, dash, last = cell.replace("\N{EN DASH}", "-").partition("-")
-        spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
-        names = (first.strip(), last.strip()) if spans else (cell, cell)
-        machine = machines[i] if machines and not delimited.is_unknown(machines[i]) else ""
-        part = parts[i] if parts and not delimited.is_unknown(parts[i]) else ""
-        tickets.append(WeighedTicket(*names, kg, sd, source.where(i, which), machine, other_sd, part))
-    return tuple(tickets)
+    return tuple(_ticket(source, row, columns) for row in range(len(source.rows)))
+
+
+@dataclass(frozen=True, slots=True)
+class _MassColumn:
+    """A column of masses. factor: kg in its unit."""
+
+    name: str
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """What a table's columns are; None for one that it lacks."""
+
+    load: str
+    mass: _MassColumn
+    deviation: _MassColumn | None
+    other: _MassColumn | None
+    other_deviation: _MassColumn | None
+    machine: str | None
+    part: str | None
+
+    @property
+    def names(self) -> frozenset[str | None]:
+        masses = (self.mass, self.deviation, self.other, self.other_deviation)
+        return frozenset({self.load, self.machine, self.part, *(column.name for column in masses if column is not None)})
+
+
+def _columns(source: delimited.TextTable) -> _Columns:
+    load = _one_of(source, _LOADS, "load", "the number of a load, or the name of its log")
+    mass = _with_unit(source, _MASSES, "weighed_kg")
+    deviation, other, other_deviation = (_if_there(source, kinds) for kinds in (_DEVIATIONS, _OTHERS, _OTHER_DEVIATIONS))
+    machine, part = (next((name for name in source.header if _plain(name) == wanted), None) for wanted in (_MACHINE, _PART))
+    return _Columns(load, mass, deviation, other, other_deviation, machine, part)
+
+
+def _ticket(source: delimited.TextTable, row: int, columns: _Columns) -> WeighedTicket:
+    """Raises InputError naming line and column."""
+    first, last = _loads(source, row, columns.load)
+    kg = _number(source, row, columns.mass.name) * columns.mass.factor
+    if not _MIN_KG <= kg <= _MAX_KG:
+        raise InputError(source.where(row, columns.mass.name), f"is {kg:g} kg", f"a mass from {_MIN_KG:g} to {_MAX_KG:g} kg")
+    sd, other_sd = RELATIVE_STD_DEV * kg, 0.0
+    if columns.deviation is not None and _text(source, row, columns.deviation.name):
+        sd = _number(source, row, columns.deviation.name) * columns.deviation.factor
+        if not 0.0 < sd < kg:
+            raise InputError(
+                source.where(row, columns.deviation.name), f"is {sd:g} kg", f"above 0 and below the load's {kg:g} kg"
+            )
+    if columns.other is not None and _text(source, row, columns.other.name):
+        of_other, weighed_sd = None, sd
+        if columns.other_deviation is not None and _text(source, row, columns.other_deviation.name):
+            of_other = _number(source, row, columns.other_deviation.name) * columns.other_deviation.factor
+        other_kg = _number(source, row, columns.other.name) * columns.other.factor
+        kg, sd = own_part(kg, sd, other_kg, of_other, source.where(row, columns.other.name))
+        other_sd = (sd**2 - weighed_sd**2) ** 0.5
+    machine, part = _text(source, row, columns.machine), _text(source, row, columns.part)
+    return WeighedTicket(first, last, kg, sd, source.where(row, columns.load), machine, other_sd, part)
+
+
+def _loads(source: delimited.TextTable, row: int, column: str) -> tuple[str, str]:
+    """First and last of a ticket's loads. Raises InputError."""
+    cell = source.column(column)[row]
+    if not cell:
+        raise InputError(source.where(row, column), "is empty", "the number of a load, or the name of its log")
+    if date := _DATE.fullmatch(cell):
+        expected = "the number of a load; of 3-5 a spreadsheet makes a date unless the column is formatted as text"
+        raise InputError(source.where(row, column), f"is a date, {date[1]}", expected)
+    # Spreadsheets and word processors make a longer dash of a hyphen between numbers.
+    first, dash, last = cell.replace("\N{EN DASH}", "-").partition("-")
+    spans = bool(dash) and first.strip().isdecimal() and last.strip().isdecimal()
+    return (first.strip(), last.strip()) if spans else (cell, cell)
+
+
+def _text(source: delimited.TextTable, row: int, column: str | None) -> str:
+    """A cell; "" where the table has no such column, or where it says that nothing is known."""
+    cell = "" if column is None else source.column(column)[row]
+    return "" if delimited.is_unknown(cell) else cell
 
 
 def own_part(
@@ -191,18 +233,18 @@ def _one_of(source: delimited.TextTable, names: tuple[str, ...], expected: str, 
     return found[0]
 
 
-def _if_there(source: delimited.TextTable, kinds: tuple[str, ...]) -> tuple[str, float] | None:
+def _if_there(source: delimited.TextTable, kinds: tuple[str, ...]) -> _MassColumn | None:
     """As _with_unit(), of a column that need not be there."""
     columns = [_plain(name) for name in source.header]
     return _with_unit(source, kinds, "") if any(name in kinds or _named(name, kinds) for name in columns) else None
 
 
-def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: str) -> tuple[str, float]:
-    """The column and what turns it into kg."""
+def _with_unit(source: delimited.TextTable, kinds: tuple[str, ...], expected: str) -> _MassColumn:
+    """The one column of these masses. Raises InputError for none, for several, and for one without a unit."""
     found = [name for name in source.header if _named(_plain(name), kinds)]
     if len(found) == 1:
         plain = _plain(found[0])
-        return found[0], next(kg for unit, kg in _KG.items() if plain in _headings(kinds, unit))
+        return _MassColumn(found[0], next(kg for unit, kg in _KG.items() if plain in _headings(kinds, unit)))
     bare = [name for name in source.header if _plain(name) in kinds]
     if bare and not found:
         raise InputError(f"{source.path}: header", f"{bare[0]} has no unit", f"{bare[0]}_kg, {bare[0]}_t or {bare[0]}_lb")
