@@ -29,10 +29,21 @@ Refuse = Callable[[str, str, str], InputError]
 
 
 @dataclass(frozen=True, slots=True)
-class Binding:
+class Entry:
+    """An entry of a mapping. where: its place in the configuration, for errors."""
+
+    where: str
+
+    def refuse(self, key: str, problem: str, expected: str) -> InputError:
+        """The error that names a key of this entry; "": the entry itself."""
+        return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
+
+
+@dataclass(frozen=True, slots=True)
+class Binding(Entry):
     """Where a quantity comes from.
 
-    where: place in the configuration, for messages. value: a constant, and nothing is bound. signals: one, or for impact
+    value: a constant, and nothing is bound. signals: one, or for impact
     samples several of one frame, oldest first. scale, offset: value = physical value of the DBC * scale + offset, in `unit`
     (None: the DBC's). ratio: a further factor, of speeds. source: see `Source`. mux: values of the message's multiplexer, with
     each of which it is sent; empty: it has none. valid: other signals of the message -> their raw values, without which there
@@ -42,7 +53,6 @@ class Binding:
     time_constant_s: of a filter in the sensor.
     """
 
-    where: str
     quantity: str
     dbc: str | None = None
     message: str | None = None
@@ -69,10 +79,6 @@ class Binding:
     def is_impact(self) -> bool:
         """Whether these are an impact sensor's samples."""
         return self.quantity in IMPACT
-
-    def refuse(self, key: str, problem: str, expected: str) -> InputError:
-        """The error that names a key of this binding."""
-        return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
 
 
 def named_message(name: str, dbc: str | None, messages: Mapping[str, MessageBits], refuse: Refuse) -> MessageBits:

@@ -217,15 +217,34 @@ def _entries(
 ) -> list[str]:
     """What a mapping says of a candidate: its sender by address, by NAME, or both, the better one first. every_page: in all
     pages that have it, not in the one that comes most."""
-    rate_hz = found.every_rate_hz if every_page else found.rate_hz
-    keys = [f"dbc: {paths[found.dbc]}", f"message: {found.message}"]
+    keys = [
+        f"dbc: {paths[found.dbc]}",
+        f"message: {found.message}",
+        *_signal_keys(found, candidates, found.every_rate_hz if every_page else found.rate_hz),
+        *_unit_keys(found),
+        *_value_keys(found),
+        *_frames(found, every_page=every_page),
+    ]
+    if found.quantity == "elevator_speed" and of_another_shaft(found.message, found.signal):
+        keys.append(_RATIO)
+    sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
+    if found.node is not None:
+        sources.append(f"source: {{{', '.join(f'{key}: {getattr(found.node, key)}' for key in TELLING)}}}")
+    return ["{" + ", ".join([*keys, source]) + "}" for source in sources] or ["{" + ", ".join(keys) + "}"]
+
+
+def _signal_keys(found: Candidate, candidates: Mapping[str, Sequence[Candidate]], rate_hz: float) -> list[str]:
+    """Its signal, or all samples of one frame, and how many an impact sensor sends per second. rate_hz: of the frames."""
     samples = _samples(found, candidates)
     if len(samples) > 1:
-        keys += [f"signals: [{', '.join(samples)}]", f"rate_hz: {rate_hz * len(samples):.4g}"]
-    else:
-        keys.append(f"signal: {found.signal}")
-        if found.quantity in IMPACT:
-            keys.append(f"rate_hz: {rate_hz:.4g}")
+        return [f"signals: [{', '.join(samples)}]", f"rate_hz: {rate_hz * len(samples):.4g}"]
+    rate = [f"rate_hz: {rate_hz:.4g}"] if found.quantity in IMPACT else []
+    return [f"signal: {found.signal}", *rate]
+
+
+def _unit_keys(found: Candidate) -> list[str]:
+    """Its unit where the DBC's does not do, and what turns it into the quantity's."""
+    keys = []
     if found.quantity in IMPACT and found.unit in BARE:
         keys += ["unit: counts", _COUNTS]
     if found.quantity in IMPACT and found.unit == "mV/V":
@@ -236,14 +255,10 @@ def _entries(
         keys.append(_PULSES)
     if likely(found.unit) != found.unit:
         keys.append(f"unit: {likely(found.unit)}")
-    if found.not_available:
-        keys.append(f"not_available: {list(found.not_available)}")
-    if found.values:
-        keys.append(f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}")
-    keys += _frames(found, every_page=every_page)
-    if found.quantity == "elevator_speed" and of_another_shaft(found.message, found.signal):
-        keys.append(_RATIO)
-    sources = [] if found.source is None or found.moved else [f"source: {found.source}"]
-    if found.node is not None:
-        sources.append(f"source: {{{', '.join(f'{key}: {getattr(found.node, key)}' for key in TELLING)}}}")
-    return ["{" + ", ".join([*keys, source]) + "}" for source in sources] or ["{" + ", ".join(keys) + "}"]
+    return keys
+
+
+def _value_keys(found: Candidate) -> list[str]:
+    """Its raw values that are none or a code."""
+    keys = [f"not_available: {list(found.not_available)}"] if found.not_available else []
+    return [*keys, f"values: {{{', '.join(f'{raw}: {code}' for raw, code in found.values)}}}"] if found.values else keys

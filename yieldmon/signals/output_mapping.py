@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from math import degrees
 
 from yieldmon.bus.databases import MessageBits, SignalBits
-from yieldmon.errors import InputError
 from yieldmon.identifiers import GROUP_MASK, IDENTITY_MASK, NULL_ADDRESS, SOURCE_MASK, group_of
 from yieldmon.network.diagnostics import DM1
 from yieldmon.network.identifier import (
@@ -19,7 +18,7 @@ from yieldmon.network.identifier import (
 )
 from yieldmon.network.process_data import PROCESS_DATA
 from yieldmon.physics.machine import Machine
-from yieldmon.signals.binding import check_source, named_message, named_signal
+from yieldmon.signals.binding import Entry, check_source, named_message, named_signal
 from yieldmon.signals.mapping import Load, SignalMap, any_of, any_source
 from yieldmon.signals.packing import Packing, encoded, span
 from yieldmon.signals.published import PUBLISHED, Published
@@ -36,17 +35,16 @@ _OF_THE_NETWORK = {
 
 
 @dataclass(frozen=True, slots=True)
-class OutputBinding:
+class OutputBinding(Entry):
     """Where a published quantity goes.
 
-    where: place in the configuration, for messages. scale, offset: physical value of the DBC = value in `unit` (None: the DBC's)
+    scale, offset: physical value of the DBC = value in `unit` (None: the DBC's)
     * scale + offset. source: an address, "own", or None: our own in J1939 messages and under the null address, else the DBC's.
     mux: value of the message's multiplexer. low, high: range in the quantity's unit that is sent. not_available: raw value that
     means it. values: the quantity's code -> raw value. period_s: time between frames, None: with each new value. constants:
     signals of the same message that have one physical value always.
     """
 
-    where: str
     quantity: str
     dbc: str
     message: str
@@ -62,10 +60,6 @@ class OutputBinding:
     values: Mapping[int, int] = field(default_factory=dict)
     period_s: float | None = None
     constants: Mapping[str, float] = field(default_factory=dict)
-
-    def refuse(self, key: str, problem: str, expected: str) -> InputError:
-        """The error that names a key of this binding."""
-        return InputError(f"{self.where}.{key}" if key else self.where, problem, expected)
 
 
 @dataclass(frozen=True)
