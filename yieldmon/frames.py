@@ -185,13 +185,6 @@ class OperatingState(int, Enum):
     FAULT = 5
 
 
-class FaultState(int, Enum):
-    """YieldMonitorStatus: each signal of FAULTS."""
-
-    OFF = 0
-    ON = 1
-
-
 class HeaderDown(int, Enum):
     """HarvestState.HeaderDown."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from enum import Enum
+
 import cantools
 import pytest
 
@@ -63,7 +65,7 @@ CODES = {
     ("HarvestState", "HeaderDown"): frames.HeaderDown,
     ("HarvestState", "WorkState"): frames.WorkState,
     ("GrainTank", "Unloading"): frames.Unloading,
-    **{("YieldMonitorStatus", fault): frames.FaultState for fault in (code.value for code in FaultCode)},
+    **{("YieldMonitorStatus", fault): Enum("FaultState", {"OFF": 0, "ON": 1}) for fault in (code.value for code in FaultCode)},
 }
 
 #: Physical ranges that a machine needs: (message, signal, smallest, largest, coarsest step).

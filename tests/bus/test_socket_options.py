@@ -9,7 +9,7 @@ import struct
 import can
 import pytest
 
-from yieldmon.bus.opening import BusUnavailable, kept_by_the_kernel, kernel_drops_of, prepared, receive_buffer_of, time_stamps_of
+from yieldmon.bus.opening import BusUnavailable, kept_by_the_kernel, kernel_drops_of, prepared, time_stamps_of
 from yieldmon.bus.waiting import receive_kept, send
 
 SO_RCVBUFFORCE, SO_MEMINFO = 33, 55
@@ -82,7 +82,6 @@ def test_half_of_the_buffer_is_asked_for_since_the_kernel_doubles_it(
     with prepared(SocketBus(sock, 3), None, 8192) as bus:
         assert sock.asked == [(socket.SOL_SOCKET, option, 4096)]
         assert not sock.getblocking()
-        assert receive_buffer_of(bus) == granted
         assert bus.left == 3, "without filters nothing is dropped"
     words = f"receive buffer {granted} bytes, asked for 8192; raise net.core.rmem_max"
     assert (words in caplog.text) is warned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import threading
 
@@ -10,7 +11,7 @@ import pytest
 
 from yieldmon import frames
 from yieldmon.bus.codec import Codec
-from yieldmon.bus.opening import RECEIVE_BUFFER_BYTES, kernel_drops_of, open_bus, receive_buffer_of
+from yieldmon.bus.opening import RECEIVE_BUFFER_BYTES, kernel_drops_of, open_bus
 from yieldmon.bus.receiver import BusEvent, BusEventKind, Receiver
 from yieldmon.frames import Frame
 
@@ -27,7 +28,7 @@ def test_socketcan_filters_and_buffer(vcan0: str) -> None:
         open_bus("socketcan", vcan0, filters=CODEC.filters(frames.INPUTS)) as bus,
         open_bus("socketcan", vcan0) as peer,
     ):
-        assert receive_buffer_of(bus) == RECEIVE_BUFFER_BYTES
+        assert bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == RECEIVE_BUFFER_BYTES
         peer.send(can.Message(arbitration_id=0x123, is_extended_id=False))
         peer.send(can.Message(arbitration_id=0x18FECA00, data=bytes(8)))
         peer.send(SPEED)

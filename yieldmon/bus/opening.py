@@ -49,7 +49,7 @@ def open_bus(
 
     bitrate: bit/s; SocketCAN ignores it (`ip link` or systemd-networkd sets it). filters: as Codec.filters() makes
     them; error frames pass all the same. receive_own: also deliver what this bus object sends. receive_buffer_bytes:
-    receive buffer asked for on SocketCAN; what was got is in receive_buffer_of() and in the log.
+    receive buffer asked for on SocketCAN; what the kernel grants is in the log.
 
     Raises InputError for an interface that python-can does not know or options that it refuses, and BusUnavailable when
     the device is absent, down or not permitted.
@@ -121,13 +121,6 @@ def open_bus_from(args: argparse.Namespace, *, filters: Sequence[CanFilter] | No
             raise BusUnavailable(f"{where}: {reason(cause)}") from error
         raise InputError(where, str(cause), "options that this python-can interface accepts") from error
     return prepared(bus, filters)
-
-
-def receive_buffer_of(bus: can.BusABC) -> int | None:
-    """Bytes of receive buffer that the kernel grants a SocketCAN bus (it counts its own overhead in); None
-    elsewhere."""
-    sock = can_socket(bus)
-    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) if sock is not None else None
 
 
 def kernel_drops_of(bus: can.BusABC) -> int | None:
