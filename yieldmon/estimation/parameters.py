@@ -153,22 +153,8 @@ class ParameterSet:
         if twice := sorted({name for name in self.covariance_names if self.covariance_names.count(name) > 1}):
             raise ValueError(f"covariance names {twice} more than once; expected each parameter once")
         _refuse_impossible(self.covariance_names, covariance)
-        for name in REQUIRED:
-            if name not in self.values:
-                raise ValueError(f"parameter {name} is missing; given are {list(self.values)}")
-        exchange = sum(name in self.values for name in EXCHANGE_FORM)
-        if exchange != (0 if "restitution" in self.values else len(EXCHANGE_FORM)):
-            raise ValueError("parameters need either restitution, or k1 and k2")
-        for name in self.values:
-            if changes_force(name.partition(".")[0]) and name not in GRAIN:
-                if "." not in name:
-                    raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(GRAIN)} or effect.parameter")
-                effect_parameter(name)
-        for name, value in self.values.items():
-            # A search may pass through a restitution below 0; nothing has a density of 0 or less.
-            above_0 = name in GRAIN and not GRAIN[name].follows_response and GRAIN[name].limits[0] > 0.0
-            if not isfinite(value) or (above_0 and not value > 0.0):
-                raise ValueError(f"{name} is {value:g}; expected a number{' above 0' if above_0 else ''}")
+        _refuse_unknown(self.values)
+        _refuse_values(self.values)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ParameterSet):
@@ -264,6 +250,30 @@ class ParameterSet:
                 if a in self.covariance_names and b in self.covariance_names:
                     out[i, j] = self.covariance[self.covariance_names.index(a), self.covariance_names.index(b)]
         return out
+
+
+def _refuse_unknown(values: Mapping[str, float]) -> None:
+    """Raises ValueError where a parameter is missing, one too many, or of no grain and no effect."""
+    for name in REQUIRED:
+        if name not in values:
+            raise ValueError(f"parameter {name} is missing; given are {list(values)}")
+    exchange = sum(name in values for name in EXCHANGE_FORM)
+    if exchange != (0 if "restitution" in values else len(EXCHANGE_FORM)):
+        raise ValueError("parameters need either restitution, or k1 and k2")
+    for name in values:
+        if changes_force(name.partition(".")[0]) and name not in GRAIN:
+            if "." not in name:
+                raise ValueError(f"parameter {name!r}: unknown; expected one of {', '.join(GRAIN)} or effect.parameter")
+            effect_parameter(name)
+
+
+def _refuse_values(values: Mapping[str, float]) -> None:
+    """Raises ValueError for values that nothing can have."""
+    for name, value in values.items():
+        # A search may pass through a restitution below 0; nothing has a density of 0 or less.
+        above_0 = name in GRAIN and not GRAIN[name].follows_response and GRAIN[name].limits[0] > 0.0
+        if not isfinite(value) or (above_0 and not value > 0.0):
+            raise ValueError(f"{name} is {value:g}; expected a number{' above 0' if above_0 else ''}")
 
 
 def _refuse_impossible(names: tuple[str, ...], covariance: Array) -> None:

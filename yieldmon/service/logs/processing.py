@@ -113,14 +113,7 @@ def process_logs(
     >>> summary.windows == len(rows)
     True
     """
-    if isinstance(paths, str | Path):
-        raise InputError("paths", f"is {str(paths)!r}", f"a list of paths, such as [{str(paths)!r}]")
-    if isinstance(channels, str):
-        raise InputError("channels", f"is {channels!r}", f"a list of names, such as [{channels!r}]")
-    require_type("monitor", monitor, Monitor, "a Monitor")
-    require_type("codec", codec, Codec, "a Codec")
-    if not callable(take_row):
-        raise of_other_type("take_row", take_row, "a function that takes a SecondRow")
+    _require_arguments(paths, monitor, codec, take_row, channels)
     summary = Summary()
     mapping = default_map() if signals is None else signals
     bus = InputFrames(codec, mapping)
@@ -173,6 +166,18 @@ def _each_once(
         if doubled.said:
             twice.append(f"{path}: {doubled.said}")
         again += recorded.at_other_times()
+
+
+def _require_arguments(paths: object, monitor: object, codec: object, take_row: object, channels: object) -> None:
+    """Those of `process_logs`. Raises InputError."""
+    if isinstance(paths, str | Path):
+        raise InputError("paths", f"is {str(paths)!r}", f"a list of paths, such as [{str(paths)!r}]")
+    if isinstance(channels, str):
+        raise InputError("channels", f"is {channels!r}", f"a list of names, such as [{channels!r}]")
+    require_type("monitor", monitor, Monitor, "a Monitor")
+    require_type("codec", codec, Codec, "a Codec")
+    if not callable(take_row):
+        raise of_other_type("take_row", take_row, "a function that takes a SecondRow")
 
 
 def refuse_nothing(paths: Sequence[Path | str], summary: Summary, channels: Sequence[str] = ()) -> None:
