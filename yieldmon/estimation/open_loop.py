@@ -69,7 +69,7 @@ class FlowStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FlowEstimate:
-    """Mass flow with its standard deviation and status, all of one shape.
+    """Mass flow, its standard deviation and status, of one shape.
 
     Parameters
     ----------
