@@ -142,41 +142,85 @@ class Taking:
 
 def stretches_of(paths: Iterable[str], taking: Taking) -> Iterator[Stretch | EndOfLog]:
     """The logs, one after the other, decoded. Raises InputError for a log that cannot be read."""
-    decoder, side = MapDecoder(taking.signals), SideInputs()
-    wanted = _wanted(taking, decoder, side)
-    one_channel = None if taking.channels else OneChannel(taking.signals.sources)
-    recorded, sensors = RecordedBefore(taking.channels), {source.message for source in taking.signals.sources.impact}
+    reading = _Reading(taking)
     for path in paths:
-        notes, frames, channels, clock = LogNotes(), 0, frozenset[str](), StoppedClock(taking.signals.sources)
-        twice, again_lines, repeats, same_times = "", list[str](), False, list[SameTimes]()
+        file = _File(path, StoppedClock(taking.signals.sources))
         for part in range(logs_in(path)):
             if part:
                 yield Stretch(0, 0, 0, ends_log=True)
-            doubled = DoubledFrames()
-            again = recorded.begin(path, part)
-            for read in doubled.blocks(_joined(iter_blocks(path, notes, wanted=wanted, part=part))):
-                channels |= read.channels_in_use()
-                block = read.of_channels(taking.channels) if taking.channels else read
-                block = block.after(recorded.again_until_s)
-                before = decoder.incomplete
-                columns, refused = _decoded(taking, decoder, side, block)
-                for name in sensors & columns.keys():
-                    recorded.take(block, columns[name].rows)
-                    clock.take(name, columns[name].time_s)
-                if one_channel is not None:
-                    one_channel.take(path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
-                found = _stretch(columns, refused, block, notes.frames - frames, taking.signals.sources)
-                yield replace(found, incomplete=decoder.incomplete - before)
-                frames = notes.frames
-            twice = twice or doubled.said
-            again_lines += [*([again] if again else []), *recorded.at_other_times()]
-            repeats = repeats or bool(again)
-            same_times += recorded.same_times()
-        shared = one_channel.end_of_log(path) if one_channel is not None else []
-        damages = [*notes.lacks(path), *([f"{path}: {twice}"] if twice else []), *shared, *clock.end_of_log(path), *again_lines]
-        yield EndOfLog(path, damages, channels, repeats, twice, tuple(same_times))
-    if decoder.under_way:
-        yield Stretch(0, 0, 0, incomplete=decoder.under_way)
+            yield from reading.log(file, part)
+        yield reading.end_of(file)
+    if under_way := reading.under_way:
+        yield Stretch(0, 0, 0, incomplete=under_way)
+
+
+@dataclass
+class _File:
+    """What is found in a file of one log, or of several packed ones. twice: of frames that stand there several times. again: of
+    frames that a log before it holds, repeats: whether it begins with them."""
+
+    path: str
+    clock: StoppedClock
+    notes: LogNotes = field(default_factory=LogNotes)
+    channels: frozenset[str] = frozenset()
+    twice: str = ""
+    again: list[str] = field(default_factory=list)
+    repeats: bool = False
+    same_times: list[SameTimes] = field(default_factory=list)
+
+
+class _Reading:
+    """Decodes logs, one after the other."""
+
+    def __init__(self, taking: Taking) -> None:
+        self._taking = taking
+        self._sources = taking.signals.sources
+        self._decoder, self._side = MapDecoder(taking.signals), SideInputs()
+        self._wanted = _wanted(taking, self._decoder, self._side)
+        self._one_channel = None if taking.channels else OneChannel(self._sources)
+        self._recorded = RecordedBefore(taking.channels)
+        self._sensors = {source.message for source in self._sources.impact}
+
+    @property
+    def under_way(self) -> int:
+        """Messages that lack a frame still."""
+        return self._decoder.under_way
+
+    def log(self, file: _File, part: int) -> Iterator[Stretch]:
+        """A log of a file, by its number from 0."""
+        doubled, notes = DoubledFrames(), file.notes
+        line = self._recorded.begin(file.path, part)
+        before = notes.frames
+        for block in doubled.blocks(_joined(iter_blocks(file.path, notes, wanted=self._wanted, part=part))):
+            file.channels |= block.channels_in_use()
+            yield self._stretch(file, block, notes.frames - before)
+            before = notes.frames
+        file.twice = file.twice or doubled.said
+        file.again += [*([line] if line else []), *self._recorded.at_other_times()]
+        file.repeats = file.repeats or bool(line)
+        file.same_times += self._recorded.same_times()
+
+    def _stretch(self, file: _File, read: FrameBlock, frames: int) -> Stretch:
+        """frames: in the log, of which `read` holds those that somebody may want."""
+        block = read.of_channels(self._taking.channels) if self._taking.channels else read
+        block = block.after(self._recorded.again_until_s)
+        before = self._decoder.incomplete
+        columns, refused = _decoded(self._taking, self._decoder, self._side, block)
+        for name in self._sensors & columns.keys():
+            self._recorded.take(block, columns[name].rows)
+            file.clock.take(name, columns[name].time_s)
+        if self._one_channel is not None:
+            self._one_channel.take(file.path, block, {name: (each.rows, each.time_s) for name, each in columns.items()})
+        found = _stretch(columns, refused, block, frames, self._sources)
+        return replace(found, incomplete=self._decoder.incomplete - before)
+
+    def end_of(self, file: _File) -> EndOfLog:
+        """What is to be said of a file that was read to its end."""
+        path = file.path
+        twice = [f"{path}: {file.twice}"] if file.twice else []
+        shared = self._one_channel.end_of_log(path) if self._one_channel is not None else []
+        damages = [*file.notes.lacks(path), *twice, *shared, *file.clock.end_of_log(path), *file.again]
+        return EndOfLog(path, damages, file.channels, file.repeats, file.twice, tuple(file.same_times))
 
 
 def _joined(blocks: Iterator[FrameBlock]) -> Iterator[FrameBlock]:
