@@ -39,6 +39,21 @@ def test_copied_rows_are_no_repetitions(make_rows: Callable[..., Rows], repeats:
         observations.from_table(table, Machine())
 
 
+@pytest.mark.parametrize("trial", [True, False])
+def test_rows_given_twice_in_a_trial_are_refused(make_rows: Callable[..., Rows], trial: bool) -> None:
+    """A quarter of the rows twice, as by two exports: without a trial they may be readings that agree."""
+    table = as_table(make_rows(), trial=trial)
+    again = np.concatenate((np.arange(len(table)), np.arange(0, len(table), 4)))
+    columns = {name: values[again] for name, values in table.columns.items()}
+    text = {name: tuple(values[i] for i in again) for name, values in table.text.items()}
+    twice = Table(table.path, "", table.load, table.reading, columns, text)
+    if not trial:
+        assert len(observations.from_table(twice, Machine())) == len(again)
+        return
+    with pytest.raises(InputError, match=rf"has {len(again) - len(table)} of {len(again)} rows twice: condition, trial and"):
+        observations.from_table(twice, Machine())
+
+
 def test_readings_of_a_coarse_resolution_are_no_copies(make_rows: Callable[..., Rows]) -> None:
     rows = make_rows(noise=0.003)
     coarse = as_table(rows)
@@ -46,6 +61,8 @@ def test_readings_of_a_coarse_resolution_are_no_copies(make_rows: Callable[..., 
     same = [len(np.unique(coarse.columns["force_n"][rows.cell == c])) < 3 for c in range(rows.cell.max() + 1)]
     assert np.mean(same) > 0.9
     assert len(observations.from_table(coarse, Machine())) == len(rows)
+    one_day = Table(coarse.path, "", coarse.load, coarse.reading, coarse.columns, {"trial": ("monday",) * len(rows)})
+    assert len(observations.from_table(one_day, Machine())) == len(rows)
 
 
 def test_single_rows_that_read_alike_are_no_copies(make_rows: Callable[..., Rows]) -> None:

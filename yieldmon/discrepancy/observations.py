@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from yieldmon.errors import InputError
 from yieldmon.estimation.clusters import SAME_LOAD, cluster
-from yieldmon.estimation.fitting.measurements import copied_rows
+from yieldmon.estimation.fitting.measurements import copied_rows, rows_given_twice
 from yieldmon.files.table import Table
 from yieldmon.physics.machine import RPM, SAME_ANGLE_RAD, Machine
 from yieldmon.physics.model import Conditions
@@ -187,6 +187,13 @@ def from_table(table: Table, machine: Machine) -> Rows:
             column,
             f"repeats another reading of the same condition in every digit in {copied} of {len(rows)} rows, as copies do",
             "each measurement once",
+        )
+    twice = rows_given_twice(grouped.value, grouped.cell, grouped.trial)
+    if twice:
+        raise InputError(
+            column,
+            f"has {twice} of {len(rows)} rows twice: condition, trial and reading agree in every digit",
+            "each measurement once, and another trial for each repetition",
         )
     return grouped
 

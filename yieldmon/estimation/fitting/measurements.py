@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -133,6 +134,21 @@ class Measurements:
 def as_copies_do(copied: int, rows: int) -> str:
     """What is said of copies among rows."""
     return f"{copied} of {rows} rows repeat another reading of the same condition in every digit, as copies do"
+
+
+def rows_given_twice(reading: Array, cell: NDArray[np.integer[Any]], trial: Sequence[str]) -> int:
+    """Rows that repeat another one of their condition and trial in every digit: 0, or more than two.
+
+    Readings of a coarse resolution agree by chance, but then in different conditions too. cell: (n,) number of each row's
+    condition. trial: (n,) its label; 0 if one is empty.
+    """
+    if not all(trial):
+        return 0
+    _, label = np.unique(np.array(trial), return_inverse=True)
+    whole = np.unique(np.stack((cell, label.ravel(), reading)), axis=1).shape[1]
+    elsewhere = np.unique(np.stack((cell, reading)), axis=1).shape[1] - np.unique(reading).size
+    twice = int(reading.size) - whole
+    return twice if twice > 2 and 10 * elsewhere < reading.size else 0
 
 
 def copied_rows(reading: Array, cell: NDArray[np.integer[Any]]) -> int:
