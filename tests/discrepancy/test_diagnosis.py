@@ -331,6 +331,16 @@ def test_plate_angles_from_another_line_are_asked_about_and_no_effect_is_named(m
     assert seen.choice.named == ()
 
 
+@pytest.mark.parametrize("is_force", [True, False])
+def test_a_response_that_is_a_mean_force_is_asked_about_and_no_effect_is_named(make_rows, start, is_force: bool) -> None:
+    rows = make_rows({"plate_angle_offset": 0.06})
+    passes = 1.0 if is_force else Machine().passes_per_s(rows.elevator_speed_rad_s)
+    seen = diagnosis.examine(replace(rows, value=40.0 * rows.value / passes, of="momentum", si=False), start, QUICK)
+    assert any("is it a mean force?" in note for note in seen.notes) == is_force
+    assert bool(seen.choice.named) != is_force
+    assert all(np.isnan(step.confidence) == is_force for step in seen.choice.steps)
+
+
 def test_a_shuffled_column_is_reported(make_rows, start) -> None:
     """Rows of one condition are no longer of one condition."""
     rows = make_rows(**ONE_SPEED)

@@ -159,14 +159,18 @@ def examine(
     report("held-out rows", 0.85)
     held_out, outlying_held_out = score_held_out(rows, is_held_out, chosen.base, chosen.best, noise)
     outlier |= outlying_held_out
-    angles = published.angles_asked(training, model, noise, parameters, keep_effects=options.keep_effects)
+    asked = [
+        ask(training, model, noise, parameters, keep_effects=options.keep_effects)
+        for ask in (published.angles_asked, published.response_asked)
+    ]
+    asked = [question for question in asked if question]
     notes = [
         diagnosis_notes.of_noise(noise),
         *diagnosis_notes.of_outliers(rows.take(outlier)),
         *diagnosis_notes.of_scatter(noise, rows, int(outlier.sum())),
         *model.notes,
         *diagnosis_notes.of_gain(model.base),
-        *([angles] if angles else []),
+        *asked,
         *diagnosis_notes.of_overfull(is_held_out & ~outlier, held_out.rows if held_out is not None else 0),
     ]
     if chosen.objection:
@@ -174,7 +178,7 @@ def examine(
     validation = None
     if chosen.steps:
         validation = validate(chosen.base, chosen.best, held_out.share if held_out is not None else None, rng)
-    chosen, doubts = _confirmed(chosen, validation, noise, rows, options, angles_doubted=bool(angles))
+    chosen, doubts = _confirmed(chosen, validation, noise, rows, options, columns_doubted=bool(asked))
     notes += doubts
     notes += diagnosis_notes.of_own_law(chosen, noise, options.policy)
     notes += diagnosis_notes.of_run_order(chosen, options.policy)
@@ -214,7 +218,7 @@ def _in_the_better_form(
 
 
 def _confirmed(
-    choice: Choice, validation: Validation | None, noise: Noise, rows: obs.Rows, options: Options, *, angles_doubted: bool
+    choice: Choice, validation: Validation | None, noise: Noise, rows: obs.Rows, options: Options, *, columns_doubted: bool
 ) -> tuple[Choice, list[str]]:
     """The choice with its confidence, and notes on it; no effect is named if there is an objection from outside the search."""
     policy, notes = options.policy, list[str]()
@@ -224,9 +228,9 @@ def _confirmed(
     # Hardly any of these is in the cases on which confidence was fitted.
     assumed = noise.how == "assumed"
     scattered = diagnosis_notes.scatter_share(noise, rows) > diagnosis_notes.MOST_SCATTER
-    unlike = angles_doubted or assumed or scattered or (validation is not None and validation.cross_fitted.value < 0.5)
+    unlike = columns_doubted or assumed or scattered or (validation is not None and validation.cross_fitted.value < 0.5)
     if choice.verdict == "effect" and unlike:
-        if assumed and not angles_doubted:
+        if assumed and not columns_doubted:
             notes.append(diagnosis_notes.noise_assumed(choice))
         choice = withdrawn(choice, policy)
     choice = without_confidence(choice) if unlike else calibrated(choice, shipped())

@@ -18,7 +18,7 @@ from .fit import Fit
 from .frame import Frame
 from .lack_of_fit import change_with_load
 from .noise import Noise
-from .observations import Rows, cells
+from .observations import SAME_SPEED, Rows, cells
 
 LEAST_RESTITUTION = 0.25
 """Value of 1 + restitution below which a fit describes something other than rebound, such as grain that shields the plate."""
@@ -26,6 +26,10 @@ _SAME = 0.01
 """p value above which readings at one angle and speed count as the same at every load."""
 _SURE = 0.999
 """Least power with which a change with load would have been detected."""
+_LEAST_MISFIT = 0.02
+"""Rms residual over the largest reading from which it is asked whether a response is a mean force."""
+_CLOSER = 2.5
+"""Times by which the residual has to fall."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +132,38 @@ def angles_asked(rows: Rows, published: Published, noise: Noise, parameters: Par
     rows, noise, parameters, keep_effects: those of the fit of `published`.
     """
 
-    def misfit(found: Fit, measured: Rows) -> float:
-        away = found.predict(measured) - measured.value
-        return float(np.sqrt(np.mean(away**2)) / np.max(np.abs(measured.value)))
-
     def refit(plate_angle_rad: Array) -> float:
         turned = replace(rows, plate_angle_rad=plate_angle_rad)
-        return misfit(fit_published(turned, noise, parameters, form=published.form, keep_effects=keep_effects).base, turned)
+        return _misfit(fit_published(turned, noise, parameters, form=published.form, keep_effects=keep_effects).base, turned)
 
-    return angle_lines.question(rows.plate_angle_rad, misfit(published.base, rows), refit)
+    return angle_lines.question(rows.plate_angle_rad, _misfit(published.base, rows), refit)
+
+
+def response_asked(rows: Rows, published: Published, noise: Noise, parameters: ParameterSet, *, keep_effects: bool) -> str:
+    """A question to the user if the model explains a `response` far better as a mean force; "" if it does not.
+
+    A response is in proportion to the momentum of one paddle, a mean force to that times the paddles per second, so that rows of
+    one speed cannot show the difference. rows, noise, parameters, keep_effects: those of the fit of `published`.
+    """
+    passes = rows.machine.passes_per_s(rows.elevator_speed_rad_s)
+    before = _misfit(published.base, rows)
+    if rows.si or np.ptp(passes) < SAME_SPEED * np.max(passes) or before < _LEAST_MISFIT:
+        return ""
+    divided = replace(rows, value=rows.value * float(np.median(passes)) / passes)
+    try:
+        after = fit_published(divided, noise, parameters, form=published.form, keep_effects=keep_effects).base
+    except InputError:
+        return ""
+    if not _CLOSER * _misfit(after, divided) < before:
+        return ""
+    return (
+        f"divided by its elevator speed the response would be missed by {100.0 * _misfit(after, divided):.2g} % of the largest "
+        f"instead of {100.0 * before:.2g} %: is it a mean force? A `response` is in proportion to the momentum of one paddle. "
+        "Nothing is named."
+    )
+
+
+def _misfit(found: Fit, measured: Rows) -> float:
+    """Root mean square of what a fit leaves over the largest reading."""
+    away = found.predict(measured) - measured.value
+    return float(np.sqrt(np.mean(away**2)) / np.max(np.abs(measured.value)))
