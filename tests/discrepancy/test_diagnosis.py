@@ -358,6 +358,17 @@ def test_columns_that_are_a_row_off_are_reported(make_rows, start) -> None:
     assert any("do the columns of a row belong together" in note for note in notes)
 
 
+def test_a_trial_in_another_unit_is_reported_and_is_no_good_fit(make_rows, start) -> None:
+    rows = make_rows()
+    other = np.array(rows.trial) == "1"
+    rows = replace(rows, value=np.where(other, rows.value / 4.448, rows.value))
+    found = diagnosis.diagnose_rows(rows, start, QUICK)
+    said = "nearly all are of trial 1 and make up nearly all of it: was its unit, machine or grain another?"
+    assert any(said in note for note in found.notes)
+    assert f"{found.outliers} of {len(rows)} rows are left out as outliers: check these first." in report.summary(found)
+    assert "Nothing to correct" not in report.summary(found)
+
+
 def test_many_effects_that_explain_alike_are_counted_in_the_summary(tied_seen, offset_rows, tied_options) -> None:
     found = diagnosis.conclude(tied_seen, offset_rows, tied_options)
     tied = 1 + len(found.choice.steps[0].equivalent)

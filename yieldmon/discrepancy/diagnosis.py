@@ -167,7 +167,7 @@ def examine(
     notes = [
         diagnosis_notes.of_noise(noise),
         *diagnosis_notes.of_outliers(rows.take(outlier)),
-        *diagnosis_notes.of_scatter(noise, rows, int(outlier.sum())),
+        *diagnosis_notes.of_scatter(noise, rows, outlier),
         *model.notes,
         *diagnosis_notes.of_gain(model.base),
         *asked,

@@ -30,6 +30,8 @@ MOST_SCATTER = 0.2
 """Relative scatter of repetitions at the median reading from which no effect is named."""
 _MANY = 0.05
 """Share of outliers from which they are reported."""
+_NEARLY_ALL = 0.9
+"""Share of the outliers, and of a trial's rows, from which this trial is called their cause."""
 _NAMED_ROWS = 6
 """Largest number of outliers that are listed."""
 
@@ -125,8 +127,14 @@ def scatter_share(noise: Noise, rows: Rows) -> float:
     return float(noise.sd(np.array(level))) / max(level, 1e-300)
 
 
-def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
-    """That rows of one condition differ so much that the columns may not belong together."""
+def many_left_out(outliers: int, rows: int) -> bool:
+    """Whether so many rows are outliers that the table itself is in doubt."""
+    return outliers > _MANY * rows
+
+
+def of_scatter(noise: Noise, rows: Rows, outlying: NDArray[np.bool_]) -> list[str]:
+    """That rows of one condition differ so much that the columns may not belong together. outlying: (rows,) rows left out."""
+    outliers = int(np.count_nonzero(outlying))
     scatter = scatter_share(noise, rows)
     out = []
     if scatter > MOST_SCATTER:
@@ -134,8 +142,16 @@ def of_scatter(noise: Noise, rows: Rows, outliers: int) -> list[str]:
             f"rows of one condition scatter by {100.0 * scatter:.0f} % of the median reading, far more than the cases on which "
             "confidence was fitted (1 to 3 %), so nothing is named: is a column shuffled, or a condition not recorded?"
         )
-    if outliers > _MANY * len(rows):
-        out.append(f"{outliers} outliers of {len(rows)} rows are many: do the columns of a row belong together?")
+    if many_left_out(outliers, len(rows)):
+        trials = [trial for trial, off in zip(rows.trial, outlying, strict=True) if off]
+        usual = max(sorted(set(trials)), key=trials.count)
+        alone = trials.count(usual) >= _NEARLY_ALL * max(outliers, rows.trial.count(usual)) and len(set(rows.trial)) > 1
+        ask = (
+            f"nearly all are of trial {usual} and make up nearly all of it: was its unit, machine or grain another?"
+            if alone
+            else "do the columns of a row belong together?"
+        )
+        out.append(f"{outliers} outliers of {len(rows)} rows are many: {ask}")
     return out
 
 

@@ -107,6 +107,11 @@ def _how_well(diagnosis: Diagnosis) -> str:
         )
     if diagnosis_notes.repetitions_hide(diagnosis.choice, diagnosis.noise):
         return f"Repetitions scatter more than conditions do {error}, so these measurements do not show whether the model fits."
+    if diagnosis_notes.many_left_out(diagnosis.outliers, len(diagnosis.rows)):
+        return (
+            f"The model fits the {diagnosis.fitted_rows.removeprefix('all ')} that are left {error}, but {diagnosis.outliers} of "
+            f"{len(diagnosis.rows)} rows are left out as outliers: check these first."
+        )
     if f is None or base.dof <= 0 or scipy.stats.f.sf(f, base.dof, diagnosis.noise.dof) >= most:
         return f"The model fits these measurements as well as they repeat {error}. Nothing to correct."
     own = 100.0 * base.frame.model_error
