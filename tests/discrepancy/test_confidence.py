@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from studies.hidden_effects.confidence_map import expected_calibration_error, learnt, to_document
-from yieldmon.discrepancy import confidence, diagnosis
+from yieldmon.discrepancy import confidence, diagnosis, report
+from yieldmon.discrepancy.choice import Step
+from yieldmon.discrepancy.fit import fit
 from yieldmon.discrepancy.policy import Policy
 
 
@@ -65,3 +67,37 @@ def test_a_doubtful_name_is_a_partial_candidate(make_rows, start) -> None:
     assert unsure.choice.verdict == "unknown"
     assert unsure.choice.steps[0].added == "zero_offset"
     assert any("of 100 cases" in note for note in unsure.notes)
+
+
+@pytest.mark.parametrize(
+    ("at_bound", "stated", "most"),
+    [
+        ((), 0.9, 0.9),
+        (("friction",), 0.9, confidence.MOST_BESIDE_BOUND),
+        (("friction",), 0.3, 0.3),
+        (("friction", "density"), 0.9, confidence.MOST_AT_BOUND),
+        (("plate_friction.coefficient",), 0.9, confidence.MOST_AT_BOUND),
+        (("density", "plate_friction.coefficient"), 0.9, confidence.MOST_AT_BOUND),
+    ],
+)
+def test_parameters_at_a_bound_limit_what_is_stated(make_rows, start, at_bound, stated, most) -> None:
+    """The grain's parameters and the size of the effect."""
+    options = diagnosis.Options(policy=Policy(most_effects=0), hold_out="none")
+    choice = diagnosis.examine(make_rows(), start, options).choice
+    found = fit(choice.base.frame, ("plate_friction",), choice.base.values)
+    ended = np.array([p.upper if p.name in at_bound else 0.5 * (p.lower + p.upper) for p in found.parameters])
+    step = Step("plate_friction", (), ("gravity",), stated, "plate_friction", name_confidence=0.5 * stated)
+    said = confidence.limited(replace(choice, steps=(step,)), replace(found, x=ended))
+    assert said.steps[0].confidence == pytest.approx(most)
+    assert said.steps[0].name_confidence == pytest.approx(0.5 * most)
+
+
+def test_an_uncertain_name_is_called_possible_and_why_it_is_given(make_rows, start) -> None:
+    rows = make_rows({"zero_offset": 4.0}, speeds_rpm=(400.0,))
+    quick = Policy(refits=8, exchanges=4, beam=2)
+    found = diagnosis.diagnose_rows(rows, start, diagnosis.Options(policy=quick))
+    assert report.summary(found).count("Cause (") == 1
+    steps = (replace(found.choice.steps[0], confidence=0.4), *found.choice.steps[1:])
+    said = report.summary(replace(found, choice=replace(found.choice, steps=steps)))
+    assert "Possible cause (0.40)" in said
+    assert "They are given since with them the model predicts rows left out of the fits better" in said

@@ -383,7 +383,7 @@ def test_a_further_effect_that_too_many_explain_alike_is_called_no_cause(offset_
     further = replace(first, added="alfa", equivalent=tied, confidence=0.14)
     found = replace(offset_found, choice=replace(offset_found.choice, steps=(first, further)))
     assert report.summary(found).count("Cause (") == 1
-    cause = "Cause, one of 5 that these rows cannot tell apart (0.14 together): alfa, bravo, charlie, delta, echo."
+    cause = "Possible cause, one of 5 that these rows cannot tell apart (0.14 together): alfa, bravo, charlie, delta, echo."
     more = "More is missing, which 6 effects explain alike, alfa among them (0.14 together)."
     assert (cause if count == 4 else more) in report.summary(found)
     print_text(found)

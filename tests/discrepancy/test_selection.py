@@ -12,6 +12,7 @@ from studies.hidden_effects import law_cases
 from yieldmon.discrepancy import candidates, diagnosis
 from yieldmon.discrepancy.candidates import Score
 from yieldmon.discrepancy.choice import Candidate, Step
+from yieldmon.discrepancy.confidence import MOST_AT_BOUND
 from yieldmon.discrepancy.fit import Fit, fit
 from yieldmon.discrepancy.merit import parameter_costs
 from yieldmon.discrepancy.policy import Policy
@@ -283,8 +284,10 @@ def test_a_bound_that_the_data_do_not_refute_is_no_reason_to_refuse(make_rows, s
     assert candidate.refused == ""
     assert choice.named == ("secondary_impact",)
     notes = diagnosis.conclude(seen, rows, options).notes
-    (said,) = [note for note in notes if note.startswith("with ")]
+    limited, said = sorted((note for note in notes if note.startswith("with ")), key=len, reverse=True)
     assert said.startswith("with secondary_impact, secondary_impact.share is at its upper bound 1:")
+    assert "secondary_impact.share ends at a bound" in limited
+    assert choice.steps[0].confidence <= MOST_AT_BOUND
 
 
 def test_a_pair_whose_first_step_misleads_is_found_by_screening(make_rows, start) -> None:

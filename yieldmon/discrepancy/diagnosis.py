@@ -16,7 +16,7 @@ from . import diagnosis_notes, published
 from . import observations as obs
 from .candidates import Signature, library, signature
 from .choice import Choice, withdrawn
-from .confidence import calibrated, doubted, shipped, without_confidence
+from .confidence import calibrated, doubted, limited, shipped, without_confidence
 from .detectability import minimum_detectable, size_seen
 from .diagnosis_result import DEFAULT, Diagnosis, Examination, HeldOut, Measure, Options
 from .experiment import plan
@@ -96,7 +96,9 @@ def conclude(
     partial = chosen.best if chosen.verdict == "unknown" and chosen.steps else None
     leading = _refit(whole, partial.effects, partial, name) if partial is not None else None
     left = lack_of_fit(best_all, noise)
-    notes = list(seen.notes)
+    of_all = best_all if leading is None else leading
+    stated, chosen = chosen, limited(chosen, of_all)
+    notes = [*seen.notes, *diagnosis_notes.of_limited_confidence(stated, chosen, of_all)]
     if found.effects and left.p_value < options.policy.lack_of_fit_p <= chosen.lack_of_fit_after.p_value:
         notes.append(diagnosis_notes.of_all_rows(left))
     if found.effects:
@@ -234,6 +236,8 @@ def _confirmed(
             notes.append(diagnosis_notes.noise_assumed(choice))
         choice = withdrawn(choice, policy)
     choice = without_confidence(choice) if unlike else calibrated(choice, shipped())
+    stated, choice = choice, limited(choice, choice.best)
+    notes += diagnosis_notes.of_limited_confidence(stated, choice, choice.best)
     if doubted(choice, policy):
         notes.append(diagnosis_notes.not_trusted(choice))
         choice = withdrawn(choice, policy)

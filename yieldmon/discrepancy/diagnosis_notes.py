@@ -88,14 +88,27 @@ def not_trusted(choice: Choice) -> str:
     return f"{names}: not named, right in {100.0 * first.confidence:.0f} of 100 cases that look like this one"
 
 
+def of_limited_confidence(stated: Choice, limited: Choice, found: Fit) -> list[str]:
+    """Why less confidence is stated than for a model within its bounds. stated, limited: before and after. found: the fit."""
+    first = next((after for before, after in zip(stated.steps, limited.steps, strict=True) if after is not before), None)
+    if first is None:
+        return []
+    grain = [p.name for p in found.frame.base if p.name in found.at_bound]
+    names = " and ".join((*grain, *found.leading_at_bound))
+    return [
+        f"with {' + '.join(step.added for step in limited.steps)}, {names} end{'s' * (' and ' not in names)} at a bound: names "
+        f"beside which this happens are often wrong, so the confidence is at most {first.confidence:.2f}"
+    ]
+
+
 def of_bounds(found: Fit, before: Fit | None = None) -> list[str]:
-    """The parameters that ended at a bound: all, or those of a model with effects that did not end there `before` these."""
-    known = () if before is None else before.at_bound
+    """The parameters that ended at a bound: all, or those of a model with effects that did not end at this one `before` these."""
+    known = {} if before is None else {name: before.values[name] for name in before.at_bound}
     beside = f"with {' + '.join(found.effects)}, " if before is not None else ""
     return [
         beside + at_bound_sentence(p.name, "lower" if float(x) < 0.5 * (p.lower + p.upper) else "upper", float(x))
         for p, x in zip(found.parameters, found.x, strict=True)
-        if p.name in found.at_bound and p.name not in known
+        if p.name in found.at_bound and not (p.name in known and abs(float(x) - known[p.name]) < 0.5 * (p.upper - p.lower))
     ]
 
 

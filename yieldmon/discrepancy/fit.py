@@ -73,6 +73,12 @@ class Fit:
         )
 
     @property
+    def leading_at_bound(self) -> tuple[str, ...]:
+        """Names of the effects' first parameters, their sizes, that ended at a bound."""
+        sizes = {effect_parameters(effect, self.frame.unit)[0].name for effect in self.effects}
+        return tuple(name for name in self.at_bound if name in sizes)
+
+    @property
     def shapes(self) -> list[int]:
         """Indices of the parameters that determine the shape of an effect's law and not its size: all but the first one of a
         further law."""

@@ -20,6 +20,7 @@ from yieldmon.physics.numerics import Array
 
 from . import diagnosis_notes
 from .choice import Step, rows_searched
+from .confidence import MOST_AT_BOUND
 from .diagnosis import Diagnosis, HeldOut, Measure
 from .experiment import Plan
 from .fit import Fit
@@ -95,6 +96,10 @@ def summary(diagnosis: Diagnosis) -> str:
     return text + "."
 
 
+_LIKELY = 0.5
+"""Confidence from which a name is called the cause."""
+
+
 def _how_well(diagnosis: Diagnosis) -> str:
     """Whether the model explains the rows within their repeatability, only within the usual model error, or not surely."""
     error = f"(error {diagnosis.before.rms_over_max_pct:.1f} % of the largest reading)"
@@ -166,19 +171,25 @@ def _cause(step: Step) -> str:
     count = 1 + len(step.equivalent)
     if count == 1:
         summary = registry()[step.added].summary.rstrip(".")
-        return f"Cause ({step.confidence:.2f}): {summary[0].lower()}{summary[1:]}."
+        cause = "Cause" if step.confidence >= _LIKELY else "Possible cause"
+        return f"{cause} ({step.confidence:.2f}): {summary[0].lower()}{summary[1:]}."
     if count > DEFAULT.largest_class:
         return f"More is missing, which {count} effects explain alike, {step.added} among them ({step.confidence:.2f} together)."
     names = ", ".join((step.added, *step.equivalent))
-    return f"Cause, one of {count} that these rows cannot tell apart ({step.confidence:.2f} together): {names}."
+    cause = "Cause" if step.confidence >= _LIKELY else "Possible cause"
+    return f"{cause}, one of {count} that these rows cannot tell apart ({step.confidence:.2f} together): {names}."
 
 
 def _doubt(diagnosis: Diagnosis) -> str:
     """A sentence on a first name that is more likely wrong than right; "" for one that is not."""
     confidence = diagnosis.choice.steps[0].confidence
-    if confidence >= 0.5:
+    if confidence >= _LIKELY:
         return ""
-    return f" The names are uncertain: of 100 cases that look like this one the first is right in {100.0 * confidence:.0f}."
+    at_most = "at most " if confidence == MOST_AT_BOUND else ""
+    return (
+        f" The names are uncertain: of 100 cases that look like this one the first is right in {at_most}{100.0 * confidence:.0f}."
+        " They are given since with them the model predicts rows left out of the fits better; that helps within their range."
+    )
 
 
 def unseen(held: HeldOut) -> str:
