@@ -18,7 +18,24 @@ _Unpack = tuple[str, int, int, float, float, int, int, frozenset[int] | None, bo
 
 
 class FrameError(ValueError):
-    """A frame that is not as its DBC says."""
+    """A frame that is not as its DBC says.
+
+    Parameters
+    ----------
+    problem : str
+        What is wrong with it.
+
+    Examples
+    --------
+    >>> try:
+    ...     api.Codec().encode(api.Frame(0.0, "ElevatorSpeed", {"ElevatorSpeed": 1e9}))
+    ... except api.FrameError as error:
+    ...     print(error)
+    ElevatorSpeed.ElevatorSpeed: 1000000000 rpm, expected 0 to 8031.875
+    """
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
 
 
 class Codec:

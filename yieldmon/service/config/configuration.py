@@ -54,7 +54,20 @@ from yieldmon.signals.output_mapping import OutputMap
 
 
 class ConfigurationError(InputError):
-    """A configuration that cannot be used. `problems` has a line for each fault; the text is the first of them."""
+    """A configuration that cannot be used.
+
+    Parameters
+    ----------
+    problems : list of InputError
+        All faults, one or more; the text of the error is that of the first.
+
+    Examples
+    --------
+    >>> faults = [api.InputError("machine", "is missing", "a file"), api.InputError("crop", "is 3", "a name")]
+    >>> error = api.ConfigurationError(faults)
+    >>> print(error, len(error.problems))
+    machine: is missing; expected a file 2
+    """
 
     def __init__(self, problems: list[InputError]) -> None:
         first = problems[0]
