@@ -281,23 +281,25 @@ class Measurement:
             # Pulses on a plate that reads far below empty: the zero is wrong.
             hidden = self.hides_grain(force) or (gate.pulses and force < -self._settings.gate.certain_force_n)
             return quality.NOT_AVAILABLE if hidden or (grain and not in_range) else quality.NOT_HARVESTING, force, noise
-        hung = abs(force) > self._settings.gate.grain_on_n and self._hung(window, zero.zero_mv)
+        # A sensor that is filtered until no pulses are left may stay at one of its steps.
+        pulsed = window.span_mv > _PULSED * abs(window.mean_mv - zero.zero_mv)
+        hung = abs(force) > self._settings.gate.grain_on_n and self._hung(window, zero.zero_mv, pulsed=pulsed)
         # The ramp of a window reaches into the one before.
         reaches, self._was_hung = self._was_hung, hung
-        if hung or (reaches and grain):
+        if hung or (reaches and grain and pulsed):
             return quality.NOT_AVAILABLE, force, noise
         # The state lasts some seconds beyond the grain; a second without grain is not a flow of 0.
         nothing = quality.NOT_AVAILABLE if self.hides_grain(force) else quality.NOT_HARVESTING
         return None if grain else nothing, force, noise
 
-    def _hung(self, window: Window, zero_mv: float) -> bool:
+    def _hung(self, window: Window, zero_mv: float, *, pulsed: bool) -> bool:
         """Whether the samples of a window with a force stayed at one value for too long, other than that of the empty plate."""
         if window.held_s > 0.5 * self._settings.windows.window_s:
             return True
         # Of several sensors the level at which one hung is not known.
         empty_n = abs(window.frozen_mv - zero_mv) * self._machine.sensor.gain_n_per_mv
         at_empty = empty_n <= self._settings.gate.grain_on_n
-        return window.frozen_s > 0.0 and not at_empty and not window.saturated_share > 0.0
+        return window.frozen_s > 0.0 and pulsed and not at_empty and not window.saturated_share > 0.0
 
     def hides_grain(self, force_n: float) -> bool:
         """Whether the force means grain by the zero before, although the suspect zero in use shows an empty plate."""
